@@ -1,0 +1,1 @@
+"""What compiler and runtime share: pure logic, no Vulkan, no graph."""
