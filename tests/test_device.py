@@ -161,7 +161,8 @@ def test_a_message_that_cannot_be_read_does_not_escape_the_callback():
     callback = module._callback(messages)
     assert callback(vk.VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT, 0, None, None) == 0
     assert len(messages) == 1 and "could not be read" in messages[0]
-    callback(vk.VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT, 0, vk.VkDebugUtilsMessengerCallbackDataEXT(pMessage=b"\xff!"), None)
+    data = vk.VkDebugUtilsMessengerCallbackDataEXT(pMessage=b"\xff!")
+    callback(vk.VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT, 0, data, None)
     assert messages[1] == "warning: : \N{REPLACEMENT CHARACTER}!"
     del module.MESSAGES[before:]
 

@@ -220,11 +220,13 @@ def test_a_cleared_image_comes_back_through_a_buffer(device):
     buffer = vk.CreateBuffer(gpu, vk.VkBufferCreateInfo(size=64, usage=vk.VK_BUFFER_USAGE_TRANSFER_DST_BIT))
 
     def backed(needs, flags):
-        kind = next(i for i, (has, _) in enumerate(device.memory_types) if needs.memoryTypeBits >> i & 1 and has & flags == flags)
+        kind = next(i for i, (has, _) in enumerate(device.memory_types)
+                    if needs.memoryTypeBits >> i & 1 and has & flags == flags)
         return vk.AllocateMemory(gpu, vk.VkMemoryAllocateInfo(allocationSize=needs.size, memoryTypeIndex=kind))
 
     visible = vk.VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | vk.VK_MEMORY_PROPERTY_HOST_COHERENT_BIT
-    memories = [backed(vk.GetImageMemoryRequirements(gpu, image), 0), backed(vk.GetBufferMemoryRequirements(gpu, buffer), visible)]
+    memories = [backed(vk.GetImageMemoryRequirements(gpu, image), 0),
+                backed(vk.GetBufferMemoryRequirements(gpu, buffer), visible)]
     vk.BindImageMemory(gpu, image, memories[0], 0)
     vk.BindBufferMemory(gpu, buffer, memories[1], 0)
     pool = vk.CreateCommandPool(gpu, vk.VkCommandPoolCreateInfo(queueFamilyIndex=device.queue_family))

@@ -347,9 +347,7 @@ class Generator:
         rows += [(name, everything[name]) for name in EXTRA if name not in have]
         lines = [f"{name} = {value}" for name, value in rows]
         lines += [f'{name.upper()}_EXTENSION_NAME = "{name}"' for name in EXTENSIONS.split()]
-        lines.append('RESULTS = {value: name for name, value in globals().items()\n'
-                     '           if type(value) is int and (name in ("VK_SUCCESS", "VK_NOT_READY", "VK_TIMEOUT", "VK_INCOMPLETE")\n'
-                     '                                      or name.startswith("VK_ERROR_"))}')
+        lines.append('RESULTS = {value: name for name, value in globals().items() if name.startswith("VK_ERROR_")}')
         return lines
 
     def scalar(self, name):

@@ -145,7 +145,8 @@ class Device:
         if self._instance.properties2 and (ids or driver):
             vk.GetPhysicalDeviceProperties2(self.instance, self.physical, vk.VkPhysicalDeviceProperties2(pNext=driver or ids))
             if driver:
-                self.driver_name, self.driver_info = (s.decode(errors="replace") for s in (driver.driverName, driver.driverInfo))
+                self.driver_name = driver.driverName.decode(errors="replace")
+                self.driver_info = driver.driverInfo.decode(errors="replace")
             if ids:
                 self.device_uuid, self.driver_uuid = bytes(ids.deviceUUID).hex(), bytes(ids.driverUUID).hex()
 
@@ -225,7 +226,7 @@ class Device:
         return properties.linearTilingFeatures, properties.optimalTilingFeatures, properties.bufferFeatures
 
     def close(self):
-        """Waits until the device is idle and destroys it. What was made from it must be destroyed before. May be called twice."""
+        """Waits until the device is idle and destroys it; what was made from it must be gone by then. May be called twice."""
         device, self.device, self.queue = self.device, None, None
         try:
             if device:

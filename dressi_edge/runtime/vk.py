@@ -796,9 +796,7 @@ VK_KHR_DRIVER_PROPERTIES_EXTENSION_NAME = "VK_KHR_driver_properties"
 VK_KHR_GET_PHYSICAL_DEVICE_PROPERTIES2_EXTENSION_NAME = "VK_KHR_get_physical_device_properties2"
 VK_KHR_PORTABILITY_ENUMERATION_EXTENSION_NAME = "VK_KHR_portability_enumeration"
 VK_KHR_PORTABILITY_SUBSET_EXTENSION_NAME = "VK_KHR_portability_subset"
-RESULTS = {value: name for name, value in globals().items()
-           if type(value) is int and (name in ("VK_SUCCESS", "VK_NOT_READY", "VK_TIMEOUT", "VK_INCOMPLETE")
-                                      or name.startswith("VK_ERROR_"))}
+RESULTS = {value: name for name, value in globals().items() if name.startswith("VK_ERROR_")}
 
 
 class VkApplicationInfo(Struct):
