@@ -149,7 +149,7 @@ def _check_obj_indices(path: Path) -> None:
                 faces.append((number, dict(counts), words[1:]) if "-" in line else (number, counts, words[1:]))
     for number, before, corners in faces:
         for corner in corners:
-            if corner.startswith("#"):
+            if corner.startswith(("#", "\\")):  # a comment, or the line goes on
                 break
             for kind, word in zip(("v", "vt"), corner.split("/"), strict=False):
                 if not word:

@@ -116,7 +116,8 @@ def _split(mesh: Mesh) -> trimesh.Trimesh:
     material = trimesh.visual.material.PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=1.0)
     visual = trimesh.visual.TextureVisuals(uv=uvs, material=material)
     if image is None and mesh.colors is not None:
-        visual.vertex_attributes["color"] = _byte_colors(mesh)[pairs[:, 0]]
+        rgba = np.pad(_byte_colors(mesh), ((0, 0), (0, 1)), constant_values=255)
+        visual.vertex_attributes["color"] = rgba[pairs[:, 0]]
     return trimesh.Trimesh(mesh.positions[pairs[:, 0]], index.reshape(-1, 3), vertex_normals=normals[pairs[:, 0]],
                            visual=visual, process=False)
 

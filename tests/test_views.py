@@ -1,0 +1,334 @@
+"""Cameras and views: the projection is the documented one, each kind of bad input is named, and images line up with meshes."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dressi_edge.cache.errors import InputError
+from dressi_edge.compiler.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
+from dressi_edge.compiler.scene import Mesh, load_mesh, normalize, pear
+from dressi_edge.compiler.views import (
+    Views,
+    linear_to_srgb,
+    load_gltf_cameras,
+    load_images,
+    load_views,
+    srgb_to_linear,
+)
+from dressi_edge.compiler.writers import save_json, save_png
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def camera_at(**changes) -> Camera:
+    fields = dict(world_to_camera=np.eye(4), fx=40.0, fy=50.0, cx=30.0, cy=20.0, width=64, height=48) | changes
+    return Camera(**fields)
+
+
+def first_hit(mesh: Mesh, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each ray (n, 3): distance along it (inf on a miss), face, barycentrics (n, 3). Moeller and Trumbore 1997."""
+    a, b, c = (mesh.positions[mesh.faces[:, i]] for i in range(3))
+    e1, e2, s = b - a, c - a, origin - a
+    q = np.cross(s, e1)
+    distance, face, weights = np.full(len(rays), np.inf), np.zeros(len(rays), int), np.zeros((len(rays), 3))
+    for i, ray in enumerate(rays):
+        p = np.cross(ray, e2)
+        scale = 1.0 / np.where(np.abs(det := (e1 * p).sum(1)) > 1e-15, det, np.inf)
+        u, v, t = (s * p).sum(1) * scale, (q @ ray) * scale, (e2 * q).sum(1) * scale
+        t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9), t, np.inf)
+        face[i] = np.argmin(t)
+        distance[i], weights[i] = t[face[i]], (1 - u[face[i]] - v[face[i]], u[face[i]], v[face[i]])
+    return distance, face, weights
+
+
+def surface_colour(mesh: Mesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The nearest texel, with texel row j at v = (j + 0.5) / height."""
+    uv = np.einsum("ij,ijk->ik", weights, mesh.uvs[mesh.uv_faces[face]]) % 1.0
+    height, width = mesh.texture.shape[:2]
+    return mesh.texture[(uv[:, 1] * height).astype(int), (uv[:, 0] * width).astype(int)]
+
+
+def photograph(mesh: Mesh, camera: Camera) -> np.ndarray:
+    """RGBA (h, w, 4) by casting a ray through each pixel centre; uses the pose and intrinsics, not `clip_rows`."""
+    y, x = np.mgrid[:camera.height, :camera.width] + 0.5
+    rays = np.stack([(x - camera.cx) / camera.fx, -(y - camera.cy) / camera.fy, -np.ones_like(x)], axis=-1).reshape(-1, 3)
+    distance, face, weights = first_hit(mesh, camera.position, rays @ camera.world_to_camera[:3, :3])
+    hit = np.isfinite(distance)[:, None]
+    image = np.concatenate([np.where(hit, surface_colour(mesh, face, weights), 0.0), hit], axis=1)
+    return image.reshape(camera.height, camera.width, 4)
+
+
+def misfit(mesh: Mesh, views: Views, view: int) -> tuple[float, float]:
+    """Between the texture at visible, not grazing face centroids and the image at their projections: median colour error,
+    mean alpha."""
+    camera, image = views.cameras[view], views.images[view]
+    chosen = np.random.default_rng(view).choice(len(mesh.faces), 400, replace=False)
+    points = mesh.positions[mesh.faces[chosen]].mean(axis=1)
+    distance, face, weights = first_hit(mesh, camera.position, points - camera.position)
+    a, b, c = (mesh.positions[mesh.faces[chosen, i]] for i in range(3))
+    normal, ray = np.cross(b - a, c - a), camera.position - points
+    facing = (normal * ray).sum(axis=1) > 0.4 * np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
+    seen = (face == chosen) & (distance > 1.0 - 1e-6) & facing
+    assert seen.sum() > 50
+    clip = np.concatenate([points[seen], np.ones((seen.sum(), 1))], axis=1) @ camera.clip_rows().T
+    x, y = (clip[:, :2] / clip[:, 3:] + 1.0).T / 2.0
+    pixels = image[(y * camera.height).astype(int), (x * camera.width).astype(int)]
+    error = np.abs(pixels[:, :3] - surface_colour(mesh, face[seen], weights[seen])).mean(axis=1)
+    return float(np.median(error)), float(pixels[:, 3].mean())
+
+
+def write_views(folder: Path, images: list[np.ndarray], cameras: tuple[Camera, ...], **top) -> Path:
+    frames = []
+    for i, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+        save_png(folder / f"{i:03d}.png", image)
+        frames.append({"file_path": f"./{i:03d}", "transform_matrix": camera.camera_to_world.tolist()})
+    first = cameras[0]
+    intrinsics = {"fl_x": first.fx, "fl_y": first.fy, "cx": first.cx, "cy": first.cy}
+    save_json(folder / "transforms.json", {**intrinsics, "frames": frames} | top)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A small valid data set of two views of 8x6 pixels."""
+    images = [np.full((6, 8, 4), level) for level in (0.2, 0.8)]
+    return write_views(tmp_path, images, orbit(2, [20.0], 3.0, 40.0, (8, 6)))
+
+
+def edited(folder: Path, change) -> Path:
+    document = json.loads((folder / "transforms.json").read_text())
+    change(document)
+    (folder / "transforms.json").write_text(json.dumps(document))
+    return folder
+
+
+# Cameras
+
+
+def test_clip_rows_are_the_documented_projection():
+    camera = camera_at(world_to_camera=look_at((1, 2, 3), (0, 0, 0), (0, 1, 0), 40, 64, 48).world_to_camera, near=0.5, far=20.0)
+    world = np.random.default_rng(0).normal(size=(20, 3))
+    x, y, z = camera.world_to_camera[:3, :3] @ world.T + camera.world_to_camera[:3, 3:]
+    clip = np.concatenate([world, np.ones((20, 1))], axis=1) @ camera.clip_rows().T
+    assert np.allclose(clip[:, 3], -z)
+    assert np.allclose((clip[:, 0] / clip[:, 3] + 1) / 2 * 64, 30.0 + 40.0 * x / -z)
+    assert np.allclose((clip[:, 1] / clip[:, 3] + 1) / 2 * 48, 20.0 - 50.0 * y / -z)
+    assert np.allclose(clip[:, 2], 20.0 * (-z - 0.5) / 19.5)
+
+
+def test_look_at_puts_its_target_in_the_centre_and_up_upwards():
+    camera = look_at((0, 0, 5), (0, 0, 0), (0, 1, 0), 90.0, 64, 64)
+    assert np.allclose(camera.position, (0, 0, 5)) and np.isclose(camera.fy, 32.0)
+    centre, right, above = (camera.clip_rows() @ (*point, 1.0) for point in ((0, 0, 0), (1, 0, 0), (0, 1, 0)))
+    assert np.allclose(centre[:2], 0.0) and right[0] > 0.0 and above[1] < 0.0
+    assert np.allclose(camera.camera_to_world @ camera.world_to_camera, np.eye(4))
+    with pytest.raises(InputError, match="give another up"):
+        look_at((0, 5, 0), (0, 0, 0), (0, 1, 0), 40.0, 64, 64)
+
+
+def test_orbit_goes_once_round():
+    cameras = orbit(6, [0.0, 30.0], 3.0, 40.0, (64, 48))
+    positions = np.array([camera.position for camera in cameras])
+    assert np.allclose(np.linalg.norm(positions, axis=1), 3.0) and np.allclose(positions[::2].sum(axis=0), 0.0)
+    assert np.allclose(positions[1::2, 1], 1.5) and np.allclose(positions[0], (0, 0, 3))
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    (dict(fx=0.0), "fx is 0.0"), (dict(cy=np.nan), "cy is nan"), (dict(width=0), "width is 0"),
+    (dict(near=-1.0), "near is -1.0"), (dict(far=0.01), "far is 0.01"), (dict(world_to_camera=np.eye(3)), r"shape \(3, 3\)"),
+    (dict(world_to_camera=np.diag([2.0, 2, 2, 1])), "not rigid: its rotation is 3 away"),
+    (dict(world_to_camera=np.diag([1.0, 1, -1, 1])), "mirrors"),
+    (dict(world_to_camera=np.eye(4) + np.eye(4, k=-3)), "last row"),
+])
+def test_a_malformed_camera_is_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        camera_at(**changes)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 0.5, 2.0, np.pi - 1e-7, np.pi])
+def test_rotation_vectors_go_there_and_back(angle):
+    for axis in np.concatenate([np.eye(3), np.random.default_rng(3).normal(size=(20, 3))]):
+        rotvec = axis / np.linalg.norm(axis) * angle
+        matrix = rotation_matrix(rotvec)
+        assert np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
+        back = rotation_vector(matrix)
+        assert np.allclose(rotation_matrix(back), matrix, atol=1e-13)
+        assert np.allclose(back, rotvec, rtol=1e-6, atol=1e-14) or angle == np.pi  # at pi both axes are right
+    assert np.allclose(rotation_matrix((0, 0, np.pi / 2)) @ (1, 0, 0), (0, 1, 0))
+
+
+# Views
+
+
+def test_srgb_is_the_standard_curve():
+    x = np.linspace(0.0, 1.0, 1001)
+    assert np.allclose(linear_to_srgb(srgb_to_linear(x)), x, atol=1e-7)
+    assert np.isclose(srgb_to_linear(np.array(0.5)), 0.21404114) and np.isclose(linear_to_srgb(np.array(0.0031308)), 0.0404499)
+    assert srgb_to_linear(x.astype(np.float32)).dtype == np.float32
+
+
+def test_a_data_set_comes_back_as_it_was_written(folder):
+    views = load_views(folder)
+    assert len(views) == 2 and views.images.shape == (2, 6, 8, 4) and views.images.dtype == np.float32
+    assert np.allclose(views.images[1], 0.8) and views.names == ("000", "001")
+    for camera, expected in zip(views.cameras, orbit(2, [20.0], 3.0, 40.0, (8, 6)), strict=True):
+        assert np.allclose(camera.clip_rows(), expected.clip_rows())
+
+
+def test_frame_values_win_and_angles_are_horizontal(folder):
+    def change(document):
+        for key in ("fl_x", "fl_y", "cx", "cy"):
+            del document[key]
+        document["camera_angle_x"] = np.pi / 2
+        document["frames"][1] |= {"fl_x": 9.0, "fl_y": 10.0, "cx": 1.0, "cy": 2.0, "w": 8, "h": 6}
+    first, second = load_views(edited(folder, change) / "transforms.json").cameras
+    assert np.allclose((first.fx, first.fy, first.cx, first.cy), (4.0, 4.0, 4.0, 3.0))
+    assert (second.fx, second.fy, second.cx, second.cy) == (9.0, 10.0, 1.0, 2.0)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda d: d.update(frames=[]), "has no frames"),
+    (lambda d: d.pop("frames"), "has no frames"),
+    (lambda d: d["frames"][1].pop("transform_matrix"), "frame 1 needs a file_path and a transform_matrix"),
+    (lambda d: d["frames"][1].update(file_path="images/lost"), "frame 1: image file .*lost does not exist"),
+    (lambda d: d["frames"][1].update(transform_matrix=[[1, 0], [0, 1]]), r"frame 1 .*shape \(2, 2\)"),
+    (lambda d: d["frames"][0].update(transform_matrix=[[1, 2], [3]]), "frame 0 .*not a 4 x 4 matrix"),
+    (lambda d: d["frames"][0]["transform_matrix"][0].__setitem__(0, 3.0), "frame 0 .*not rigid: its rotation is"),
+    (lambda d: d["frames"][0]["transform_matrix"][2].__setitem__(3, float("nan")), "value nan in row 2, column 3"),
+    (lambda d: [d.pop("fl_x"), d.pop("fl_y")], "neither camera_angle_x nor fl_x"),
+    (lambda d: d.update(fl_x="wide"), "fl_x is 'wide'"),
+    (lambda d: d.update(fl_x=-3), "fl_x is -3"),
+    (lambda d: [d.pop("fl_x"), d.update(camera_angle_x=40.0)], "camera_angle_x is 40.0; it must be between 0 and pi"),
+    (lambda d: d.update(k1=0.1), "lens distortion k1 is 0.1"),
+    (lambda d: d.update(w=16), "states 16x6 pixels, but .*000.png has 8x6"),
+])
+def test_a_malformed_transforms_file_is_named(folder, change, message):
+    with pytest.raises(InputError, match=message) as caught:
+        load_views(edited(folder, change))
+    assert "transforms.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_malformed_json_is_named_by_line(folder):
+    (folder / "transforms.json").write_text('{\n "frames": [\n  {]\n}')
+    with pytest.raises(InputError, match="transforms.json line 3 column 4: malformed JSON"):
+        load_views(folder)
+    (folder / "transforms.json").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not UTF-8"):
+        load_views(folder)
+
+
+def test_missing_files_are_named(folder, tmp_path):
+    with pytest.raises(InputError, match="lost.json does not exist"):
+        load_views(folder / "lost.json")
+    (tmp_path / "empty").mkdir()
+    for load, message in ((load_views, "has no transforms_train.json"), (load_images, "no image in")):
+        with pytest.raises(InputError, match=message):
+            load(tmp_path / "empty")
+    with pytest.raises(InputError, match="image file lost.png does not exist"):
+        load_images(["lost.png"])
+    with pytest.raises(InputError, match="image directory .*lost does not exist"):
+        load_images(tmp_path / "lost")
+
+
+def test_images_need_alpha_one_size_and_to_be_images(folder):
+    Image.new("RGB", (8, 6)).save(folder / "001.png")
+    with pytest.raises(InputError, match=r"001.png has no alpha channel \(mode RGB\); alpha is the mask"):
+        load_views(folder)
+    Image.new("RGBA", (9, 6)).save(folder / "001.png")
+    with pytest.raises(InputError, match="001.png is 9x6, but .*000.png is 8x6"):
+        load_views(folder)
+    (folder / "001.png").write_bytes((folder / "000.png").read_bytes()[:40])
+    with pytest.raises(InputError, match="001.png cannot be read"):
+        load_views(folder)
+
+
+def test_images_of_a_directory_come_by_name(folder):
+    images, names = load_images(folder)
+    assert names == ("000", "001") and np.allclose(images[:, 0, 0, 0], (0.2, 0.8))
+    with pytest.raises(InputError, match="2 images, 1 cameras"):
+        Views(images, orbit(1, [0.0], 3.0, 40.0, (8, 6)), names)
+    with pytest.raises(InputError, match="camera of 6x8 pixels and an image of 8x6"):
+        Views(images, orbit(2, [0.0], 3.0, 40.0, (6, 8)), names)
+
+
+def test_downsampling_keeps_light_coverage_and_geometry():
+    image = np.zeros((4, 6, 4), np.float32)
+    image[:, 0] = (1.0, 0.5, 0.0, 1.0)
+    image[:, 1, :3] = 0.9  # a colour that nothing covers must not bleed in
+    views = Views(image[None], (camera_at(width=6, height=4),), ("a",))
+    small = views.resized((3, 2))
+    assert np.allclose(small.images[0, :, 0], (1.0, 0.5, 0.0, 0.5), atol=1e-6) and not small.images[0, :, 1:].any()
+    odd = views.resized((4, 3))
+    assert np.isclose(odd.images[..., 3].mean(), image[..., 3].mean()), "no coverage is lost at ratios that are not whole"
+    assert (small.cameras[0].fx, small.cameras[0].cy) == (20.0, 10.0)
+    before, after = (v.cameras[0].clip_rows() @ (0.3, 0.2, -2.0, 1.0) for v in (views, small))
+    assert np.allclose(before, after)
+    with pytest.raises(InputError, match="size 7x4"):
+        views.resized((7, 4))
+
+
+# glTF cameras
+
+
+GLTF = {
+    "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+    "nodes": [{"children": [1], "scale": [2, 2, 2], "translation": [1, 0, 0]},
+              {"camera": 0, "translation": [0, 0, 3], "rotation": [0, 0.7071067811865476, 0, 0.7071067811865476]}],
+    "cameras": [{"type": "perspective", "perspective": {"yfov": np.pi / 2, "znear": 0.1}}],
+}
+
+
+@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
+def test_gltf_cameras_have_world_transforms(tmp_path, suffix):
+    text = json.dumps(GLTF).encode()
+    text += b" " * (-len(text) % 4)
+    header = struct.pack("<4sII", b"glTF", 2, 20 + len(text)) + struct.pack("<I4s", len(text), b"JSON")
+    (tmp_path / f"c{suffix}").write_bytes(text if suffix == ".gltf" else header + text)
+    (camera,) = load_gltf_cameras(tmp_path / f"c{suffix}", 64, 48)
+    assert np.allclose(camera.position, (1, 0, 6)) and np.isclose(camera.fx, 24.0) and np.isclose(camera.fy, 24.0)
+    assert np.allclose(camera.camera_to_world[:3, 2], (1, 0, 0)) and (camera.near, camera.far) == (0.1, 100.0)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda d: d.update(nodes=[{}]), "no camera"), (lambda d: d["nodes"][0].update(children=[7]), "not well-formed"),
+    (lambda d: d["nodes"][1].update(children=[0]), "must form a tree"), (lambda d: d.pop("cameras"), "not well-formed"),
+    (lambda d: d["cameras"][0].update(type="orthographic"), "only perspective"),
+    (lambda d: d["nodes"][1].update(scale=[1, 1, 0]), "world transform"),
+])
+def test_malformed_gltf_cameras_are_named(tmp_path, change, message):
+    document = json.loads(json.dumps(GLTF))
+    change(document)
+    (tmp_path / "c.gltf").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=message):
+        load_gltf_cameras(tmp_path / "c.gltf", 64, 48)
+
+
+def test_truncated_glb_is_named(tmp_path):
+    (tmp_path / "c.glb").write_bytes(b"glTF\x02\x00\x00\x00")
+    with pytest.raises(InputError, match="truncated"):
+        load_gltf_cameras(tmp_path / "c.glb", 64, 48)
+
+
+# Meshes, textures, cameras and images together
+
+
+def test_images_show_the_texture_where_the_cameras_say(tmp_path):
+    mesh, cameras = pear(), orbit(3, [10.0, -35.0, 50.0], 3.2, 40.0, (48, 40))
+    views = load_views(write_views(tmp_path, [photograph(mesh, camera) for camera in cameras], cameras))
+    for view in range(3):
+        error, coverage = misfit(mesh, views, view)
+        assert error < 0.02 and coverage > 0.97
+    if not (SHARED / "datasets" / "spot").is_dir():
+        pytest.skip("shared data not present; photographs of the pear were tested in their place")
+    spot = normalize(load_mesh(SHARED / "meshes" / "spot" / "spot.obj", SHARED / "meshes" / "spot" / "spot_texture.png"))
+    true = load_mesh(SHARED / "datasets" / "spot" / "mesh.ply")
+    assert np.allclose(spot.positions.max(axis=0), true.positions.max(axis=0), atol=1e-3)
+    views = load_views(SHARED / "datasets" / "spot")
+    for view in range(0, 24, 6):
+        error, coverage = misfit(spot, views, view)
+        assert error < 0.01 and coverage > 0.99
+    assert len(load_views(SHARED / "datasets" / "bunny_lambert" / "transforms_test.json", size=(64, 64))) == 6
