@@ -469,8 +469,8 @@ def _enough(kind: str, need, have) -> bool:
 
 
 def merge(profiles: Iterable[Profile], name: str) -> Profile:
-    """The intersection: what is allowed on every one of the profiles. Quirks add up, `sources` says whose value binds. The order
-    does not matter."""
+    """The intersection: what is allowed on every one of the profiles, in any order. Quirks add up; `sources` says whose
+    value binds."""
     members = sorted(profiles, key=lambda p: (p.name, p.digest))
     if not members:
         raise ProfileError(f"profile {name!r}: nothing to merge; give at least one profile")
