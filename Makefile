@@ -1,0 +1,56 @@
+# On a fresh Debian 12, `make demo` and `make test` are all there is to know: both make .venv first, and apt what is missing.
+# Settings: PYTHON chooses the interpreter (3.10 or later), ARGS goes to pytest, APT_PACKAGES= leaves the system alone.
+PYTHON ?= python3
+VENV ?= .venv
+ARGS ?=
+APT_PACKAGES ?= mesa-vulkan-drivers libvulkan1 glslang-tools spirv-tools vulkan-validationlayers python3-venv
+
+READY := $(VENV)/.ready
+.ONESHELL:
+.SHELLFLAGS := -ec
+.DELETE_ON_ERROR:
+.PHONY: setup test test-full demo clean
+
+setup: $(READY)
+
+test: setup
+	$(VENV)/bin/ruff check
+	$(VENV)/bin/pytest -q $(ARGS)
+
+test-full: setup
+	$(VENV)/bin/ruff check
+	$(VENV)/bin/pytest -q -m 'full or not full' $(ARGS)
+
+demo: setup
+	$(VENV)/bin/dressi-edge demo -o demo_out
+
+clean:
+	rm -rf $(VENV) build demo_out *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(READY): pyproject.toml setup.py Makefile
+	@fail() { echo "setup: $$*" >&2; exit 1; }
+	missing=
+	for package in $(APT_PACKAGES); do
+	    if [ "$$package" = python3-venv ] && $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null; then continue; fi
+	    dpkg-query -W -f '$${db:Status-Status}\n' "$$package" 2>/dev/null | grep -qx installed || missing="$$missing $$package"
+	done
+	if [ -n "$$missing" ]; then
+	    echo "setup: installing$$missing"
+	    skip="or, where you have the like already, make setup APT_PACKAGES="
+	    command -v apt-get >/dev/null || fail "needs what Debian calls$$missing; there is no apt-get here: install them, then run" \
+	        "make setup APT_PACKAGES="
+	    as=
+	    if [ "$$(id -u)" != 0 ]; then
+	        command -v sudo >/dev/null || fail "needs apt-get install$$missing as root; there is no sudo here; $$skip"
+	        as=sudo
+	    fi
+	    $$as apt-get -qq update || echo "setup: apt-get update failed; trying with the lists at hand" >&2
+	    $$as env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends install $$missing >/dev/null ||
+	        fail "needs apt-get install$$missing, which failed; do it yourself, $$skip"
+	fi
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || fail "$(PYTHON) must be Python 3.10 or later; set PYTHON="
+	echo "setup: making $(VENV) with $$($(PYTHON) --version)"
+	$(PYTHON) -m venv $(VENV) || fail "$(PYTHON) -m venv failed; Debian has it in python3-venv"
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check -e '.[dev]'
+	touch $@

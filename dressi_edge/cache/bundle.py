@@ -1,0 +1,161 @@
+"""The bundle on disk: docs/bundle-format.md is the authority, this is its writer and reader.
+
+In: a description (plain dict) and blobs. Out: bytes, the same for the same input; or back, checked before anything is used.
+"""
+from __future__ import annotations
+
+import hashlib
+import os
+import struct
+import tempfile
+from pathlib import Path
+
+import msgpack
+
+from . import vulkan as v
+from .bundle_check import check_description
+from .errors import BundleError
+
+MAGIC = b"DRESSI\r\n"
+VERSION = 1
+HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
+ALIGN = 64
+MAX_FILE_BYTES = 1 << 32
+
+
+class Bundle:
+    """A bundle that has passed every check: `description` (dict) and `blob(k)` (bytes-like, read-only)."""
+
+    def __init__(self, description: dict, data: memoryview, digest: str):
+        self.description, self._data, self.digest = description, data, digest
+
+    def blob(self, k: int) -> memoryview:
+        offset, size, _ = self.description["blobs"][k]
+        return self._data[offset:offset + size]
+
+
+def _pad(size: int) -> int:
+    return -size % ALIGN
+
+
+def dumps(description: dict, blobs: list[bytes]) -> bytes:
+    """The file's bytes. `description` lacks "blobs", which is made here."""
+    entries, at = [], 0
+    for blob in blobs:
+        entries.append([at, len(blob), hashlib.sha256(blob).digest()])
+        at += len(blob) + _pad(len(blob))
+
+    def pack(shift: int) -> bytes:
+        moved = [[offset + shift, size, digest] for offset, size, digest in entries]
+        return msgpack.packb({**description, "blobs": moved}, use_bin_type=True, use_single_float=False)
+
+    start, text = 0, pack(0)
+    while HEADER.size + len(text) + _pad(HEADER.size + len(text)) != start:
+        start = HEADER.size + len(text) + _pad(HEADER.size + len(text))
+        text = pack(start)
+    head = HEADER.pack(MAGIC, VERSION, 0, len(text), hashlib.sha256(text).digest()) + text
+    parts = [head, bytes(_pad(len(head)))]
+    for blob in blobs:
+        parts += [blob, bytes(_pad(len(blob)))]
+    return b"".join(parts)
+
+
+def write(path: str | os.PathLike, description: dict, blobs: list[bytes]) -> str:
+    """Write the bundle atomically; its SHA-256 (hexadecimal)."""
+    data = dumps(description, blobs)
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as f:
+                f.write(data)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as e:
+        raise BundleError(f"{path}: cannot be written: {e.strerror}") from None
+    return hashlib.sha256(data).hexdigest()
+
+
+def read(path: str | os.PathLike) -> Bundle:
+    """The checked bundle in a file. Raises BundleError, with the path in the file of the first thing wrong."""
+    try:
+        size = os.stat(path).st_size
+        if size > MAX_FILE_BYTES:
+            raise BundleError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
+        with open(path, "rb") as f:
+            data = f.read()
+    except OSError as e:
+        raise BundleError(f"{path}: cannot be read: {e.strerror}") from None
+    try:
+        return loads(data)
+    except BundleError as e:
+        raise BundleError(f"{path}: {e}") from None
+
+
+def loads(data: bytes) -> Bundle:
+    """The checked bundle in these bytes. Raises BundleError."""
+    if len(data) < HEADER.size:
+        raise BundleError(f"{len(data)} bytes; a bundle has at least {HEADER.size}")
+    magic, version, reserved, size, digest = HEADER.unpack_from(data)
+    if magic != MAGIC:
+        raise BundleError("not a bundle: the file does not begin with DRESSI")
+    if version != VERSION:
+        raise BundleError(f"format version {version}; this reader knows {VERSION}; compile the bundle again or update dressi_edge")
+    if reserved != 0:
+        raise BundleError(f"reserved field is {reserved}; 0 is allowed")
+    if size > len(data) - HEADER.size:
+        raise BundleError(f"truncated: the description has {size} bytes, the file holds {len(data) - HEADER.size} of them")
+    text = data[HEADER.size:HEADER.size + size]
+    if hashlib.sha256(text).digest() != digest:
+        raise BundleError("the description's checksum does not match; the file is damaged")
+    try:
+        description = msgpack.unpackb(text, raw=False, strict_map_key=True, max_buffer_size=size + 1,
+                                      object_pairs_hook=_unique)
+    except BundleError:
+        raise
+    except Exception as e:  # msgpack raises many kinds
+        raise BundleError(f"the description is no msgpack: {type(e).__name__}") from None
+    check_description(description)
+    at = HEADER.size + size
+    for k, (offset, length, sha) in enumerate(description["blobs"]):
+        if any(data[at:offset]) or offset != at + _pad(at):
+            raise BundleError(f"blobs[{k}]: at {offset}; {at + _pad(at)} is needed, with zeros before it")
+        at = offset + length
+        if at > len(data):
+            raise BundleError(f"truncated: blobs[{k}] ends at {at}, the file at {len(data)}")
+        if hashlib.sha256(data[offset:at]).digest() != sha:
+            raise BundleError(f"blobs[{k}]: the checksum does not match; the file is damaged")
+    if len(data) != at + _pad(at) or any(data[at:]):
+        raise BundleError(f"{len(data)} bytes; {at + _pad(at)} are needed, zeros after the last blob")
+    check_blobs(description)
+    return Bundle(description, memoryview(data), hashlib.sha256(data).hexdigest())
+
+
+def _unique(pairs: list) -> dict:
+    result = dict(pairs)
+    if len(result) != len(pairs):
+        raise BundleError("a map of the description names a key twice")
+    return result
+
+
+def check_blobs(d: dict) -> None:
+    """Sizes of what blobs stand for."""
+    def expect(where: str, k: int, size: int) -> None:
+        if d["blobs"][k][1] != size:
+            raise BundleError(f"{where}: blobs[{k}] has {d['blobs'][k][1]} bytes; {size} are needed")
+
+    def image_bytes(image: dict) -> int:
+        return 4 * v.FORMAT_CHANNELS[image["format"]] * image["width"] * image["height"]
+
+    for k, image in enumerate(d["images"]):
+        if image["data"] is not None:
+            expect(f"images[{k}].data", image["data"], image_bytes(image))
+    for k, value in enumerate(d["values"]):
+        if value["initial"] is not None:
+            expect(f"values[{k}].initial", value["initial"], image_bytes(d["images"][value["image"]]))
+    for k, blob in enumerate(d["shaders"]):
+        size = d["blobs"][blob][1]
+        if size % 4 or size < 20:
+            raise BundleError(f"shaders[{k}]: {size} bytes are no SPIR-V module")

@@ -1,0 +1,300 @@
+"""Check a bundle's description before anything of it is used: types, ranges, indices, and that no pass reads what was never written.
+
+In: the decoded description. Out: nothing, or a BundleError that names the first thing wrong by its path. The text of the checks
+follows docs/bundle-format.md.
+"""
+from __future__ import annotations
+
+from . import vulkan as v
+from .errors import BundleError
+from .layout import CHANNELS, KINDS, MAX_TABLE_WIDTH, is_int, table_size
+
+MAX_SIDE = 1 << 16
+MAX_ITEMS = 1 << 20
+
+
+def _fail(where: str, found, allowed: str):
+    raise BundleError(f"{where} is {found!r:.60}; {allowed}")
+
+
+def _number(where, x, low, high):
+    if type(x) is not int or not low <= x <= high:
+        _fail(where, x, f"an integer from {low} to {high} is allowed")
+    return x
+
+
+def _one_of(where, x, allowed):
+    if type(x) not in (int, str) or x not in allowed:
+        _fail(where, x, "allowed: " + " ".join(map(str, allowed)))
+    return x
+
+
+def _list(where, x, length=None):
+    if type(x) is not list or len(x) > MAX_ITEMS or (length is not None and len(x) != length):
+        _fail(where, x if type(x) is not list else f"a list of {len(x)}", "a list" + (f" of {length}" if length is not None else ""))
+    return x
+
+
+def _map(where, x, keys):
+    if type(x) is not dict:
+        _fail(where, x, "a map is needed")
+    for key in keys:
+        if key not in x:
+            raise BundleError(f"{where} lacks {key}")
+    for key in x:
+        if key not in keys:
+            raise BundleError(f"{where} has the unknown key {key!r:.40}")
+    return x
+
+
+def _text(where, x):
+    if type(x) is not str or not 0 < len(x) <= 200:
+        _fail(where, x, "a text of 1 to 200 characters is needed")
+    return x
+
+
+def check_description(d) -> None:
+    """Raise BundleError unless the description is well formed."""
+    _map("description", d, ("meta", "profile", "needs", "depth_formats", "images", "samplers", "shaders", "passes", "pipelines",
+                            "values", "plans", "blobs"))
+    if type(d["meta"]) is not dict:
+        _fail("meta", d["meta"], "a map is needed")
+    _map("profile", d["profile"], ("name", "digest"))
+    for key in ("name", "digest"):
+        _text(f"profile.{key}", d["profile"][key])
+    for k, blob in enumerate(_list("blobs", d["blobs"])):
+        _list(f"blobs[{k}]", blob, 3)
+        _number(f"blobs[{k}][0]", blob[0], 0, 1 << 40)
+        _number(f"blobs[{k}][1]", blob[1], 0, 1 << 40)
+        if type(blob[2]) is not bytes or len(blob[2]) != 32:
+            _fail(f"blobs[{k}][2]", blob[2], "32 bytes are needed")
+    _needs(d["needs"])
+    for k, f in enumerate(_list("depth_formats", d["depth_formats"])):
+        _one_of(f"depth_formats[{k}]", f, tuple(v.DEPTH_FORMATS.values()))
+    blobs = len(d["blobs"])
+    for k, image in enumerate(_list("images", d["images"])):
+        _image(f"images[{k}]", image, blobs)
+    for k, s in enumerate(_list("samplers", d["samplers"])):
+        _one_of(f"samplers[{k}]", s, (v.ADDRESS_REPEAT, v.ADDRESS_CLAMP))
+    for k, s in enumerate(_list("shaders", d["shaders"])):
+        _number(f"shaders[{k}]", s, 0, blobs - 1)
+    for k, p in enumerate(_list("passes", d["passes"])):
+        _pass(f"passes[{k}]", p)
+    for k, p in enumerate(_list("pipelines", d["pipelines"])):
+        _pipeline(f"pipelines[{k}]", p, d)
+    names = set()
+    for k, value in enumerate(_list("values", d["values"])):
+        _value(f"values[{k}]", value, d)
+        if value["name"] in names:
+            raise BundleError(f"values[{k}].name {value['name']!r:.60} is taken")
+        names.add(value["name"])
+    names = set()
+    for k, plan in enumerate(_list("plans", d["plans"])):
+        _plan(f"plans[{k}]", plan, k, d)
+        if plan["name"] in names:
+            raise BundleError(f"plans[{k}].name {plan['name']!r:.60} is taken")
+        names.add(plan["name"])
+    _written(d)
+
+
+def _needs(needs) -> None:
+    _map("needs", needs, ("limits", "formats"))
+    if type(needs["limits"]) is not dict or type(needs["formats"]) is not dict:
+        _fail("needs", needs, "maps are needed")
+    for name, x in needs["limits"].items():
+        _text("needs.limits", name)
+        _number(f"needs.limits.{name}", x, 0, 1 << 40)
+    for name, features in needs["formats"].items():
+        _text("needs.formats", name)
+        for k, f in enumerate(_list(f"needs.formats.{name}", features)):
+            _text(f"needs.formats.{name}[{k}]", f)
+
+
+def _image(where, image, blobs) -> None:
+    _map(where, image, ("format", "width", "height", "slots", "usage", "data"))
+    _one_of(f"{where}.format", image["format"], (0, *v.FORMAT_NAMES))
+    _number(f"{where}.width", image["width"], 1, MAX_SIDE)
+    _number(f"{where}.height", image["height"], 1, MAX_SIDE)
+    _number(f"{where}.slots", image["slots"], 1, 2)
+    allowed = v.USAGE_DEPTH if image["format"] == 0 else \
+        v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST | v.USAGE_SAMPLED | v.USAGE_COLOR | v.USAGE_INPUT
+    if _number(f"{where}.usage", image["usage"], 1, 255) & ~allowed:
+        _fail(f"{where}.usage", image["usage"], f"bits of {allowed} are allowed")
+    if image["data"] is not None:
+        _number(f"{where}.data", image["data"], 0, blobs - 1)
+        if not image["usage"] & v.USAGE_TRANSFER_DST or image["format"] == 0 or image["slots"] != 1:
+            raise BundleError(f"{where}.data needs a colour format, one slot and usage {v.USAGE_TRANSFER_DST}")
+
+
+def _pass(where, p) -> None:
+    _map(where, p, ("attachments", "subpasses"))
+    count = len(_list(f"{where}.attachments", p["attachments"]))
+    for k, a in enumerate(p["attachments"]):
+        at = f"{where}.attachments[{k}]"
+        _map(at, a, ("format", "load", "store", "clear"))
+        _one_of(f"{at}.format", a["format"], (0, *v.FORMAT_NAMES))
+        _number(f"{at}.load", a["load"], 0, 2)
+        _number(f"{at}.store", a["store"], 0, 1)
+        _number(f"{at}.clear", a["clear"], -1, 1)
+    if not _list(f"{where}.subpasses", p["subpasses"]):
+        _fail(f"{where}.subpasses", [], "at least one is needed")
+    for k, s in enumerate(p["subpasses"]):
+        at = f"{where}.subpasses[{k}]"
+        _map(at, s, ("colors", "inputs", "depth"))
+        for key in ("colors", "inputs"):
+            for j, a in enumerate(_list(f"{at}.{key}", s[key])):
+                _number(f"{at}.{key}[{j}]", a, 0, count - 1)
+                if p["attachments"][a]["format"] == 0:
+                    raise BundleError(f"{at}.{key}[{j}] is a depth attachment")
+        if len(set(s["colors"])) != len(s["colors"]) or set(s["colors"]) & set(s["inputs"]):
+            raise BundleError(f"{at}: an attachment is used twice")
+        _number(f"{at}.depth", s["depth"], -1, count - 1)
+        if s["depth"] >= 0 and p["attachments"][s["depth"]]["format"] != 0:
+            raise BundleError(f"{at}.depth is no depth attachment")
+
+
+def _pipeline(where, p, d) -> None:
+    _map(where, p, ("vertex", "fragment", "pass", "subpass", "bindings", "depth"))
+    for key in ("vertex", "fragment"):
+        _number(f"{where}.{key}", p[key], 0, len(d["shaders"]) - 1)
+    _number(f"{where}.pass", p["pass"], 0, len(d["passes"]) - 1)
+    subpasses = d["passes"][p["pass"]]["subpasses"]
+    _number(f"{where}.subpass", p["subpass"], 0, len(subpasses) - 1)
+    if type(p["depth"]) is not bool or p["depth"] and subpasses[p["subpass"]]["depth"] < 0:
+        _fail(f"{where}.depth", p["depth"], "false, or true with a depth attachment")
+    for k, b in enumerate(_list(f"{where}.bindings", p["bindings"])):
+        at = f"{where}.bindings[{k}]"
+        _list(at, b, 3)
+        _one_of(f"{at}[0]", b[0], (v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER, v.DESCRIPTOR_SAMPLED_IMAGE, v.DESCRIPTOR_INPUT_ATTACHMENT))
+        _one_of(f"{at}[1]", b[1], (v.STAGE_VERTEX, v.STAGE_FRAGMENT, v.STAGE_VERTEX | v.STAGE_FRAGMENT))
+        sampler = b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER
+        _number(f"{at}[2]", b[2], 0 if sampler else -1, len(d["samplers"]) - 1 if sampler else -1)
+
+
+def _value(where, value, d) -> None:
+    _map(where, value, ("name", "role", "image", "type", "layout", "width", "height", "count", "columns", "initial"))
+    _text(f"{where}.name", value["name"])
+    _one_of(f"{where}.role", value["role"], ("input", "state", "output"))
+    _one_of(f"{where}.type", value["type"], tuple(CHANNELS))
+    _one_of(f"{where}.layout", value["layout"], KINDS)
+    for key in ("width", "height", "count", "columns"):
+        _number(f"{where}.{key}", value[key], 1, 1 << 30)
+    image = d["images"][_number(f"{where}.image", value["image"], 0, len(d["images"]) - 1)]
+    size = _layout_size(value)
+    if (image["width"], image["height"]) != size:
+        raise BundleError(f"{where}: its image is {image['width']} x {image['height']}; {size[0]} x {size[1]} is needed")
+    channels = CHANNELS[value["type"]]
+    if image["format"] not in v.FORMAT_NAMES or v.FORMAT_CHANNELS[image["format"]] != (4 if channels == 3 else channels) \
+            or (image["format"] in v.INTEGER_FORMATS) != is_int(value["type"]):
+        raise BundleError(f"{where}: its image has format {image['format']}, which does not hold {value['type']}")
+    wanted = v.USAGE_TRANSFER_SRC | (0 if value["role"] == "output" else v.USAGE_TRANSFER_DST)
+    if image["usage"] & wanted != wanted:
+        raise BundleError(f"{where}: its image lacks usage {wanted}")
+    if value["initial"] is not None:
+        _number(f"{where}.initial", value["initial"], 0, len(d["blobs"]) - 1)
+        if value["role"] == "output":
+            raise BundleError(f"{where}.initial: an output has none")
+
+
+def _layout_size(value) -> tuple[int, int]:
+    kind, width, height, count, columns = (value[k] for k in ("layout", "width", "height", "count", "columns"))
+    if kind == "unit":
+        return 1, 1
+    if kind == "table":
+        return table_size(count) if count <= MAX_TABLE_WIDTH * MAX_SIDE else (0, 0)
+    return (width, height) if kind == "image" else (width * columns, height * -(-count // columns))
+
+
+def _plan(where, plan, number, d) -> None:
+    _map(where, plan, ("name", "stages", "updates", "reads", "outputs", "needs", "steps"))
+    _text(f"{where}.name", plan["name"])
+    _number(f"{where}.steps", plan["steps"], 0, 1 << 40)
+    for key, role in (("updates", ("state",)), ("reads", ("input", "state")), ("outputs", ("output",))):
+        for k, x in enumerate(_list(f"{where}.{key}", plan[key])):
+            _number(f"{where}.{key}[{k}]", x, 0, len(d["values"]) - 1)
+            if d["values"][x]["role"] not in role:
+                raise BundleError(f"{where}.{key}[{k}] is {d['values'][x]['role']} {d['values'][x]['name']!r:.60}; "
+                                  f"{' or '.join(role)} is allowed")
+    for k, x in enumerate(_list(f"{where}.needs", plan["needs"])):
+        _number(f"{where}.needs[{k}]", x, 0, number - 1)
+    for k, stage in enumerate(_list(f"{where}.stages", plan["stages"])):
+        _stage(f"{where}.stages[{k}]", stage, d)
+
+
+def _ref(where, ref, d) -> dict:
+    image = d["images"][_number(where, ref, 0, 2 * len(d["images"]) - 1) // 2]
+    if ref % 2 and image["slots"] != 2:
+        raise BundleError(f"{where} is {ref}: the second slot of an image that has one")
+    return image
+
+
+def _stage(where, stage, d) -> None:
+    _map(where, stage, ("pass", "width", "height", "attachments", "wait", "subpasses"))
+    layout = d["passes"][_number(f"{where}.pass", stage["pass"], 0, len(d["passes"]) - 1)]
+    _number(f"{where}.width", stage["width"], 1, MAX_SIDE)
+    _number(f"{where}.height", stage["height"], 1, MAX_SIDE)
+    if type(stage["wait"]) is not bool:
+        _fail(f"{where}.wait", stage["wait"], "a boolean is needed")
+    _list(f"{where}.attachments", stage["attachments"], len(layout["attachments"]))
+    if len(set(map(str, stage["attachments"]))) != len(stage["attachments"]):
+        raise BundleError(f"{where}.attachments names an image twice")
+    for k, (ref, a) in enumerate(zip(stage["attachments"], layout["attachments"])):
+        at = f"{where}.attachments[{k}]"
+        image = _ref(at, ref, d)
+        usage = v.USAGE_COLOR if a["format"] else v.USAGE_DEPTH
+        if image["format"] != a["format"] or not image["usage"] & usage:
+            raise BundleError(f"{at}: image {ref // 2} of format {image['format']} and usage {image['usage']} does not fit the pass")
+        if (image["width"], image["height"]) != (stage["width"], stage["height"]):
+            raise BundleError(f"{at}: image {ref // 2} is {image['width']} x {image['height']}, the stage is "
+                              f"{stage['width']} x {stage['height']}")
+    _list(f"{where}.subpasses", stage["subpasses"], len(layout["subpasses"]))
+    for k, draws in enumerate(stage["subpasses"]):
+        colors = {stage["attachments"][a] for a in layout["subpasses"][k]["colors"]}
+        for j, draw in enumerate(_list(f"{where}.subpasses[{k}]", draws)):
+            _draw(f"{where}.subpasses[{k}][{j}]", draw, stage, k, colors, d)
+
+
+def _draw(where, draw, stage, subpass, colors, d) -> None:
+    _map(where, draw, ("pipeline", "images", "vertices", "cells", "depth_range"))
+    pipeline = d["pipelines"][_number(f"{where}.pipeline", draw["pipeline"], 0, len(d["pipelines"]) - 1)]
+    if pipeline["pass"] != stage["pass"] or pipeline["subpass"] != subpass:
+        raise BundleError(f"{where}.pipeline {draw['pipeline']} is made for another pass")
+    _list(f"{where}.images", draw["images"], len(pipeline["bindings"]))
+    for k, (ref, binding) in enumerate(zip(draw["images"], pipeline["bindings"])):
+        image = _ref(f"{where}.images[{k}]", ref, d)
+        usage = v.USAGE_INPUT if binding[0] == v.DESCRIPTOR_INPUT_ATTACHMENT else v.USAGE_SAMPLED
+        if not image["usage"] & usage:
+            raise BundleError(f"{where}.images[{k}]: image {ref // 2} lacks usage {usage}")
+        if usage == v.USAGE_SAMPLED and (ref in stage["attachments"] or ref in colors):
+            raise BundleError(f"{where}.images[{k}]: image {ref // 2} is written by the same stage")
+    _number(f"{where}.vertices", draw["vertices"], 1, (1 << 31) - 1)
+    for k, cell in enumerate(_list(f"{where}.cells", draw["cells"])):
+        at = f"{where}.cells[{k}]"
+        for j, x in enumerate(_list(at, cell, 4)):
+            _number(f"{at}[{j}]", x, 0 if j < 2 else 1, MAX_SIDE)
+        if cell[0] + cell[2] > stage["width"] or cell[1] + cell[3] > stage["height"]:
+            raise BundleError(f"{at} leaves the stage of {stage['width']} x {stage['height']}")
+    low_high = _list(f"{where}.depth_range", draw["depth_range"], 2)
+    if any(type(x) is not float or not 0 <= x <= 1 for x in low_high):
+        _fail(f"{where}.depth_range", low_high, "two floats from 0 to 1 are needed")
+
+
+def _written(d) -> None:
+    """Every image a plan reads was filled: constant, input, state, earlier in the plan, or by a plan it needs."""
+    filled = {k for k, image in enumerate(d["images"]) if image["data"] is not None}
+    filled |= {value["image"] for value in d["values"] if value["role"] != "output"}
+    writes: list[set[int]] = []
+    for k, plan in enumerate(d["plans"]):
+        known = filled.union(*(writes[n] for n in plan["needs"]))
+        mine: set[int] = set()
+        for j, stage in enumerate(plan["stages"]):
+            for draws in stage["subpasses"]:
+                for draw in draws:
+                    for ref in draw["images"]:
+                        if ref // 2 not in known and ref // 2 not in mine and ref not in stage["attachments"]:
+                            raise BundleError(f"plans[{k}].stages[{j}] reads image {ref // 2}, which nothing has written")
+            mine.update(ref // 2 for ref in stage["attachments"])
+        for x in plan["updates"] + plan["outputs"]:
+            if d["values"][x]["image"] not in mine:
+                raise BundleError(f"plans[{k}] does not write {d['values'][x]['name']!r:.60}")
+        writes.append(mine)

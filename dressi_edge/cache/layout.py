@@ -1,0 +1,87 @@
+"""How a user's array lies in an image: docs/conventions.md, "Tables" and "Atlas"."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import InputError
+
+CHANNELS = {"float": 1, "vec2": 2, "vec3": 3, "vec4": 4, "int": 1, "ivec2": 2, "ivec3": 3, "ivec4": 4}
+KINDS = ("unit", "table", "image", "atlas")
+MAX_TABLE_WIDTH = 4096
+
+
+def is_int(vtype: str) -> bool:
+    return vtype.startswith("i")
+
+
+def table_size(count: int) -> tuple[int, int]:
+    """Width and height of the image that holds `count` entries: a power-of-two width up to 4096 (addresses are a mask and a
+    shift), about four rows or more, so that little is padding."""
+    width = min(MAX_TABLE_WIDTH, 1 << max(0, (count // 4).bit_length() - 1))
+    return width, -(-count // width)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """kind "unit" (shape () or (c,)), "table" (n, c), "image" (h, w, c), "atlas" (views, h, w, c); see docs/conventions.md."""
+
+    kind: str
+    vtype: str
+    width: int = 1
+    height: int = 1
+    count: int = 1
+    columns: int = 1
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        if self.kind == "unit":
+            return 1, 1
+        if self.kind == "table":
+            return table_size(self.count)
+        if self.kind == "image":
+            return self.width, self.height
+        return self.width * self.columns, self.height * -(-self.count // self.columns)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The user's array shape; one-channel tables, images and units have no channel axis."""
+        c = CHANNELS[self.vtype]
+        body = {"unit": (), "table": (self.count,), "image": (self.height, self.width),
+                "atlas": (self.count, self.height, self.width)}[self.kind]
+        return body if c == 1 else (*body, c)
+
+    def to_image(self, array, name: str) -> np.ndarray:
+        """(height, width, channels) of the user's array, float64 or int64. Raises InputError."""
+        array = np.asarray(array)
+        if array.shape not in (self.shape, (*self.shape, 1) if CHANNELS[self.vtype] == 1 else self.shape):
+            raise InputError(f"{name} has shape {array.shape}; {self.shape} is needed")
+        if array.dtype.kind not in ("biu" if is_int(self.vtype) else "biuf"):
+            raise InputError(f"{name} has type {array.dtype}; {'integers are' if is_int(self.vtype) else 'numbers are'} needed")
+        array = array.astype(np.int64 if is_int(self.vtype) else np.float64)
+        if not is_int(self.vtype) and not np.isfinite(array).all():
+            raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are NaN or Inf; finite numbers are needed")
+        c, (width, height) = CHANNELS[self.vtype], self.size
+        if self.kind == "table":
+            padded = np.zeros((width * height, c), array.dtype)
+            padded[:self.count] = array.reshape(self.count, c)
+            return padded.reshape(height, width, c)
+        if self.kind == "atlas":
+            rows = height // self.height
+            cells = np.zeros((rows * self.columns, self.height, self.width, c), array.dtype)
+            cells[:self.count] = array.reshape(self.count, self.height, self.width, c)
+            return cells.reshape(rows, self.columns, self.height, self.width, c).swapaxes(1, 2).reshape(height, width, c)
+        return array.reshape(height, width, c)
+
+    def from_image(self, pixels: np.ndarray) -> np.ndarray:
+        """The user's array of (height, width, channels)."""
+        c = CHANNELS[self.vtype]
+        if self.kind == "table":
+            return pixels.reshape(-1, c)[:self.count].reshape(self.shape)
+        if self.kind == "atlas":
+            rows = pixels.shape[0] // self.height
+            cells = pixels.reshape(rows, self.height, self.columns, self.width, c).swapaxes(1, 2)
+            return cells.reshape(-1, self.height, self.width, c)[:self.count].reshape(self.shape)
+        return pixels.reshape(self.shape)

@@ -1,0 +1,205 @@
+"""A substage to GLSL: one vertex and one fragment shader a draw, and what they bind.
+
+In: a `Substage`, the profile. Out: `Draws`: shader texts and bindings in order. Names are local numbers, so equal substages
+give equal text and share one module. Ops whose loop headers come out equal share one loop.
+"""
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from ..cache.profile import Profile
+from .ir import UNIT, Extent, Node, is_int
+from .ops.leaf import literal_glsl
+from .optable import FILTERED, OWN, VERTEX
+from .pack import Substage
+
+FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
+           "int": "R32_SINT", "ivec2": "R32G32_SINT", "ivec3": "R32G32B32A32_SINT", "ivec4": "R32G32B32A32_SINT"}
+SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
+
+_HEAD = "#version 450\n#extension GL_EXT_samplerless_texture_functions : require\n"
+FULLSCREEN = _HEAD + """void main() {
+    gl_Position = vec4(vec2((gl_VertexIndex << 1) & 2, gl_VertexIndex & 2) * 2.0 - 1.0, 0.0, 1.0);
+}
+"""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """One descriptor: the node's image, how it is bound, in which shader stages; for samplers the wrap."""
+
+    node: Node
+    kind: str
+    vertex: bool
+    fragment: bool
+    wrap: str = ""
+
+
+@dataclass(frozen=True)
+class DrawCode:
+    """One draw of a substage. `vertices` invocations; `views` instances over the atlas cells (`cell` = width, height, columns)."""
+
+    vertex: str
+    fragment: str
+    vertices: int
+    views: int = 1
+    cell: tuple[int, int, int] | None = None
+    depth_range: tuple[float, float] = (0.0, 1.0)
+    depth: bool = False
+
+
+def _mark(text: str, names: dict) -> str:
+    return re.sub(r"\{(\w+)\}", lambda m: str(names[m.group(1)]), text)
+
+
+def _channels(node: Node) -> str:
+    return {1: ".x", 2: ".xy", 3: ".xyz", 4: ""}[node.channels]
+
+
+def hardware_filter(node: Node, profile: Profile) -> bool:
+    """Whether the profile promises linear filtering of this image's format."""
+    return profile.format_has(FORMATS[node.vtype], "filter")
+
+
+class _Emitter:
+    def __init__(self, stage: Substage, profile: Profile):
+        self.stage, self.profile = stage, profile
+        self.bindings: list[Binding] = []
+        self.slots: dict[tuple[Node, str, str], int] = {}
+        vertex = {x for x, m in stage.reads if m == VERTEX}
+        fragment = {x for x, m in stage.reads if m != VERTEX}
+        for node in stage.nodes:
+            for k, x in enumerate(node.inputs):
+                mode = node.op.read(k)
+                if x.op.stage == "inline" or (mode == OWN and x in stage.nodes):
+                    continue
+                sampler = mode == FILTERED and hardware_filter(x, profile)
+                key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, SAMPLED, "")
+                if key not in self.slots:
+                    self.slots[key] = len(self.bindings)
+                    self.bindings.append(Binding(x, key[1], x in vertex, x in fragment, key[2]))
+        self.values: dict[Node, str] = {}
+        self.own: dict[int, None] = {}
+
+    def declarations(self, vertex: bool) -> list[str]:
+        lines = []
+        for k, b in enumerate(self.bindings):
+            if not (b.vertex if vertex else b.fragment):
+                continue
+            prefix = "i" if is_int(b.node.vtype) else ""
+            if b.kind == SAMPLER:
+                lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}sampler2D t{k};")
+                lines.append(f"#define F{k}(uv) texture(t{k}, uv){_channels(b.node)}")
+                continue
+            lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}texture2D t{k};")
+            lines.append(f"#define T{k}(c) texelFetch(t{k}, c, 0){_channels(b.node)}")
+            lines.append(f"#define E{k}(i) {self._entry(k, b.node.extent)}")
+        return lines
+
+    def _entry(self, k: int, e: Extent) -> str:
+        if e.height == 1:
+            return f"T{k}(ivec2(i, 0))"
+        if e.width & (e.width - 1) == 0:
+            return f"T{k}(ivec2((i) & {e.width - 1}, (i) >> {e.width.bit_length() - 1}))"
+        return f"T{k}(ivec2((i) % {e.width}, (i) / {e.width}))"
+
+    def names(self, node: Node) -> dict:
+        e = node.extent
+        names = {"w": e.width, "h": e.height, "n": e.count, "type": node.vtype, "p": "pixel",
+                 "i": f"(pixel.y * {e.width} + pixel.x)"}
+        for key, value in node.attrs.items():
+            names[key] = literal_glsl(value) if isinstance(value, (int, float)) else value
+        for k, (param, x) in enumerate(zip(node.op.params, node.inputs)):
+            mode = node.op.read(k)
+            names[param + "_w"], names[param + "_h"], names[param + "_n"] = x.extent.width, x.extent.height, x.extent.count
+            if x.op.stage == "inline":
+                text = literal_glsl(x.attrs["value"])
+                names[param] = f"({text})" if text[0] == "-" else text
+            elif mode == OWN:
+                names[param] = self.value(x)
+            else:
+                slot = self.slots.get((x, SAMPLED, ""), self.slots.get((x, SAMPLER, node.attrs.get("wrap", ""))))
+                names[param], names[param + "_at"] = f"T{slot}", f"E{slot}"
+        names["y"] = self.values.get(node, "")
+        return names
+
+    def value(self, x: Node) -> str:
+        """The variable that holds x at this texel; remembers to load it if it comes from outside."""
+        if x not in self.values:
+            slot = self.slots[x, SAMPLED, ""]
+            self.own[slot] = None
+            self.values[x] = f"u{slot}"
+        return self.values[x]
+
+    def loads(self) -> list[str]:
+        lines = []
+        for slot in self.own:
+            x = self.bindings[slot].node
+            at = "ivec2(0)" if x.extent == UNIT and self.stage.extent != UNIT else "pixel"
+            lines.append(f"{x.vtype} u{slot} = T{slot}({at});")
+        return lines
+
+    def functions(self) -> list[str]:
+        return list(dict.fromkeys(n.op.functions for n in self.stage.nodes if n.op.functions))
+
+    def pixel_body(self) -> list[str]:
+        depth: dict[Node, int] = {}
+        for n in self.stage.nodes:
+            inner = [depth[x] for k, x in enumerate(n.inputs) if x in depth]
+            depth[n] = max(inner, default=0) + (n.op.loop is not None)
+        for k, n in enumerate(self.stage.nodes):
+            self.values[n] = f"v{k}"
+        lines = []
+        for level in range(max(depth.values()) + 1):
+            loops: dict[str, list[Node]] = {}
+            for n in self.stage.nodes:
+                if depth[n] == level and n.op.loop is not None:
+                    lines.append(f"{n.vtype} {self.values[n]} = {n.vtype}(0);")
+                    loops.setdefault(_mark(n.op.loop.header, self.names(n)), []).append(n)
+            for header, members in loops.items():
+                body = " ".join(_mark(n.op.loop.body, self.names(n)) for n in members)
+                lines.append(f"{header} {body} {members[0].op.loop.close}")
+            for n in self.stage.nodes:
+                if depth[n] == level and n.op.loop is None:
+                    lines.append(f"{n.vtype} {self.values[n]};")
+                    lines.append(self.snippet(n))
+        return lines
+
+    def snippet(self, n: Node) -> str:
+        for k, x in enumerate(n.inputs):
+            if n.op.read(k) == FILTERED and hardware_filter(x, self.profile):
+                slot = self.slots[x, SAMPLER, n.attrs["wrap"]]
+                return f"{self.values[n]} = F{slot}({self.names(n)['uv']});"
+        text = n.op.glsl(n) if callable(n.op.glsl) else n.op.glsl
+        return _mark(text, self.names(n))
+
+    def fragment(self, body: list[str], varyings: list[str]) -> str:
+        outs = [f"layout(location = {k}) out {'ivec4' if n.channels == 3 and is_int(n.vtype) else 'vec4' if n.channels == 3 else n.vtype}"
+                f" o{k};" for k, n in enumerate(self.stage.outputs)]
+        stores = [f"o{k} = " + (f"{'ivec4' if is_int(n.vtype) else 'vec4'}({self.values[n]}, 0);" if n.channels == 3 else
+                                f"{self.values[n]};") for k, n in enumerate(self.stage.outputs)]
+        return "\n".join([_HEAD + "\n".join(self.declarations(False)), *varyings, *outs, *self.functions(), "void main() {",
+                          "ivec2 pixel = ivec2(gl_FragCoord.xy);", *self.loads(), *body, *stores, "}", ""])
+
+
+def emit(stage: Substage, profile: Profile) -> tuple[list[DrawCode], list[Binding]]:
+    """The draws of a substage and the images they bind, in binding order."""
+    e = _Emitter(stage, profile)
+    if not stage.raster:
+        body = e.pixel_body()
+        return [DrawCode(FULLSCREEN, e.fragment(body, []), 3)], e.bindings
+    node = stage.nodes[0]
+    e.values[node] = "v0"
+    attrs, draws = node.attrs, []
+    for draw in node.op.draws:
+        out = [f"layout(location = {k}) flat out {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
+        into = [f"layout(location = {k}) flat in {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
+        names = e.names(node)
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), *out, *e.functions(), "void main() {",
+                            _mark(draw.vertex, names), "}", ""])
+        body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
+        factor, items = draw.vertices
+        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], attrs["views"],
+                              (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, True))
+    return draws, e.bindings

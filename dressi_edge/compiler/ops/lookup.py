@@ -1,0 +1,203 @@
+"""Lookups by index and their exact transposes.
+
+Where the index is constant (faces, vertices, neighbours) the transpose is a compile-time sparse matrix in compressed rows, read
+in fixed order: exact and deterministic, no atomics. Where it is computed (pixel -> face) the transpose gathers over a box of
+pixels that is known to hold every pixel that can name the entry. See docs/design.md, "Scatters are gathers".
+"""
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from ...cache.errors import GraphError
+from ..ir import UNIT, Data, Extent, Node, table
+from ..optable import Loop, apply, at, op
+
+MAX_ROW = 64  # longer rows are summed in two levels, to keep every lane busy
+
+
+def constant(array: np.ndarray, extent: Extent | None = None) -> Node:
+    """A constant image from (height, width, channels), or with `table=True` extent from (n, channels) or (n,)."""
+    array = np.asarray(array)
+    kind = np.int32 if array.dtype.kind in "iub" else np.float64
+    if array.ndim != 3:
+        raise GraphError(f"constant of shape {array.shape}; (height, width, channels) is allowed, or use constant_table")
+    extent = extent or Extent(array.shape[1], array.shape[0], array.shape[0] * array.shape[1])
+    from ..ir import vector_type
+    return apply("constant", data=Data(array.astype(kind)), vtype=vector_type(array.shape[2], kind is np.int32), extent=extent)
+
+
+def to_table(array: np.ndarray, fill: float = 0) -> np.ndarray:
+    """(n, channels) laid out as the image of `table(n)`, padded with `fill`."""
+    array = np.asarray(array)
+    array = array.reshape(len(array), -1)
+    extent = table(len(array))
+    out = np.full((extent.width * extent.height, array.shape[1]), fill, array.dtype)
+    out[:len(array)] = array
+    return out.reshape(extent.height, extent.width, -1)
+
+
+def constant_table(array: np.ndarray, fill: float = 0) -> Node:
+    """A constant table from (n, channels) or (n,)."""
+    return constant(to_table(array, fill), table(len(array)))
+
+
+def _rows_of(index: np.ndarray, entries: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compressed rows of the transpose of `index`: for each entry the positions that name it, ascending."""
+    order = np.argsort(index, kind="stable")
+    order = order[index[order] >= 0]
+    start = np.searchsorted(index[order], np.arange(entries + 1))
+    return np.stack([start[:-1], start[1:]], 1), order, np.ones(len(order))
+
+
+@functools.lru_cache(maxsize=64)
+def _transpose(rows: Data, cols: Data, weights: Data | None, outputs: int, inputs: int):
+    flat = rows.array.reshape(-1, 2)[:outputs]
+    lengths = flat[:, 1] - flat[:, 0]
+    owner = np.repeat(np.arange(outputs), lengths)
+    source = cols.array.reshape(-1)[:len(owner)]
+    order = np.argsort(source, kind="stable")
+    start = np.searchsorted(source[order], np.arange(inputs + 1))
+    w = None if weights is None else weights.array.reshape(-1)[:len(owner)][order]
+    return np.stack([start[:-1], start[1:]], 1), owner[order], w
+
+
+def gather_sum(x: Node, rows: np.ndarray, cols: np.ndarray, weights: np.ndarray | None = None) -> Node:
+    """`y[i] = sum over k in [rows[i, 0], rows[i, 1]) of weights[k] x[cols[k]]`: a constant sparse matrix times a table.
+
+    rows (n, 2) int with rows laid end to end, cols (m,) int entries of x, weights (m,) or None for ones. Result: table of n.
+    """
+    rows, cols = np.asarray(rows, np.int64), np.asarray(cols, np.int64)
+    lengths = rows[:, 1] - rows[:, 0]
+    if len(cols) != lengths.sum() or (len(rows) and not np.array_equal(rows[:, 0], np.cumsum(lengths) - lengths)):
+        raise GraphError("gather_sum: rows must lie end to end and cover every column")
+    if len(cols) and not 0 <= cols.min() <= cols.max() < x.extent.count:
+        raise GraphError(f"gather_sum: column {cols.max()} of {x!r}; 0 to {x.extent.count - 1} are allowed")
+    if len(lengths) and lengths.max() > MAX_ROW:
+        pieces = -(-lengths // MAX_ROW)
+        first = np.repeat(rows[:, 0] - np.cumsum(pieces) * 0, pieces)
+        local = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        start = first + local * MAX_ROW
+        end = np.minimum(start + MAX_ROW, np.repeat(rows[:, 1], pieces))
+        partial = gather_sum(x, np.stack([start, end], 1), cols, weights)
+        ends = np.cumsum(pieces)
+        return gather_sum(partial, np.stack([ends - pieces, ends], 1), np.arange(pieces.sum()))
+    if not len(cols):
+        cols, weights = np.zeros(1, np.int64), None
+    nodes = [x, constant_table(rows), constant_table(cols)]
+    if weights is None:
+        return apply("gather_sum", *nodes)
+    return apply("weighted_gather_sum", *nodes, constant_table(np.asarray(weights, np.float64)))
+
+
+def _gather_ref(x, rows, cols, weights=None):
+    x, start, end = x.reshape(-1, x.shape[2]), rows[..., 0].ravel(), rows[..., 1].ravel()
+    lengths = end - start
+    owner = np.repeat(np.arange(len(lengths)), lengths)
+    k = np.repeat(start - (np.cumsum(lengths) - lengths), lengths) + np.arange(lengths.sum())
+    terms = x[cols.reshape(-1)[k]]
+    if weights is not None:
+        terms = terms * weights.reshape(-1)[k, None]
+    out = np.zeros((len(lengths), x.shape[1]), x.dtype)
+    np.add.at(out, owner, terms)
+    return out.reshape(rows.shape[0], rows.shape[1], -1)
+
+
+def _gather_vjp(g, y, x, rows, cols, weights=None):
+    if rows.op.name != "constant" or cols.op.name != "constant":
+        raise GraphError("gather_sum: rows and columns must be constants for a gradient")
+    parts = _transpose(rows.attrs["data"], cols.attrs["data"], weights and weights.attrs["data"], rows.extent.count, x.extent.count)
+    return (gather_sum(g, *parts),) + (None,) * (2 if weights is None else 3)
+
+
+def _gather_sample(weighted):
+    def sample(rng):
+        lengths = np.array([0, 3, 1, 2, 0, 4, 1])
+        ends = np.cumsum(lengths)
+        cols = rng.integers(0, 9, ends[-1])
+        arrays = [to_table(rng.normal(size=(9, 3))), constant_table(np.stack([ends - lengths, ends], 1)), constant_table(cols)]
+        return arrays + ([constant_table(rng.normal(size=len(cols)))] if weighted else []), {}
+    return sample
+
+
+_ROW = "for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) { int j_ = {cols_at}(k_);"
+op("gather_sum", "x rows cols", infer=at(1), reads="texel own texel", ref=_gather_ref, vjp=_gather_vjp, cost=30,
+   loop=Loop(_ROW, "{y} += {x_at}(j_);"), sample=_gather_sample(False), doc="Constant sparse rows of ones times a table.")
+op("weighted_gather_sum", "x rows cols weights", infer=at(1), reads="texel own texel texel", ref=_gather_ref, vjp=_gather_vjp,
+   cost=30, loop=Loop(_ROW, "{y} += {weights_at}(k_) * {x_at}(j_);"), sample=_gather_sample(True),
+   doc="A constant sparse matrix times a table.")
+
+
+def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> Node:
+    """`y = entries[index]`, zero where the index is negative.
+
+    A constant index (array of n) has its exact transpose at compile time. A computed index needs `box`, for each entry the
+    half-open pixel box (x0, y0, x1, y1) that holds every pixel naming it, or no gradient is asked for.
+    """
+    if not isinstance(index, Node):
+        index = np.asarray(index).reshape(-1)
+        if len(index) and not -1 <= index.min() <= index.max() < entries.extent.count:
+            bad = int(np.argmax((index >= entries.extent.count) | (index < -1)))
+            raise GraphError(f"lookup: index {index[bad]} at {bad}; -1 to {entries.extent.count - 1} are allowed")
+        index = constant_table(index.astype(np.int64), -1)
+    if entries.extent == UNIT and index.op.name == "constant" and (index.attrs["data"].array.reshape(-1)[:index.extent.count] == 0).all():
+        return apply("broadcast", entries, extent=index.extent)
+    return apply("lookup", entries, index) if box is None else apply("lookup_boxed", entries, index, box)
+
+
+def _lookup_ref(entries, index, box=None):
+    flat = entries.reshape(-1, entries.shape[2])
+    return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
+
+
+def _lookup_vjp(g, y, entries, index):
+    if index.op.name != "constant":
+        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() the box of pixels "
+                         "of each entry, or cut the path with stop_gradient")
+    flat = index.attrs["data"].array.reshape(-1)[:index.extent.count]
+    rows, cols, _ = _rows_of(flat, entries.extent.count)
+    return gather_sum(g, rows, cols), None
+
+
+def _lookup_sample(rng):
+    return [to_table(rng.normal(size=(9, 3))), constant_table(rng.integers(-1, 9, 13), -1)], {}
+
+
+_LOOKUP = "{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});"
+op("lookup", "entries index", infer=at(1), reads="texel own", ref=_lookup_ref, vjp=_lookup_vjp, cost=8, glsl=_LOOKUP,
+   sample=_lookup_sample, doc="A table's entry by index; zero where the index is negative.")
+
+
+def _boxed_sample(rng):
+    index = rng.integers(-1, 6, (8, 9, 1))
+    box = np.tile(np.array([0, 0, 9, 8]), (6, 1))
+    return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
+
+
+def _segment_ref(values, index, box):
+    out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
+    ys, xs = np.nonzero(index[..., 0] >= 0)
+    entry = index[ys, xs, 0]
+    b = box.reshape(-1, 4)[entry]
+    inside = (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])
+    np.add.at(out, entry[inside], np.broadcast_to(values, index.shape[:2] + values.shape[2:])[ys, xs][inside])
+    return out.reshape(box.shape[0], box.shape[1], -1)
+
+
+op("lookup_boxed", "entries index box", infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8, glsl=_LOOKUP,
+   vjp=lambda g, y, entries, index, box: (apply("segment_sum", g, index, box), None, None), sample=_boxed_sample,
+   doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
+op("segment_sum", "values index box", infer=at(2), reads="texel texel own", ref=_segment_ref, cost=200,
+   vjp=lambda g, y, values, index, box: (apply("lookup_boxed", g, index, box), None, None),
+   loop=Loop("for (int b_ = {box}.y; b_ < {box}.w; ++b_) for (int a_ = {box}.x; a_ < {box}.z; ++a_) "
+             "if ({index}(ivec2(a_, b_)) == {i}) {", "{y} += {values}(ivec2(a_, b_));"),
+   sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
+                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1)))], {}),
+   doc="Transpose of lookup_boxed: for each entry the sum over its box of the pixels that name it, in row-major order.")
+
+op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,
+   ref=lambda source, xy: source[np.clip(xy[..., 1], 0, source.shape[0] - 1), np.clip(xy[..., 0], 0, source.shape[1] - 1)],
+   glsl="{y} = {source}(clamp({xy}, ivec2(0), ivec2({source_w} - 1, {source_h} - 1)));",
+   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.integers(0, 4, (6, 7, 2))], {}),
+   doc="The texel at a computed place, clamped to the image; no gradient.")

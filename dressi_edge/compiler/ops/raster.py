@@ -1,0 +1,188 @@
+"""Rasterize: which face covers or comes near each pixel (paper 3.4.2, Algorithm 2). No backward: distances, barycentrics and
+attributes are recomputed by ordinary ops from the face index (paper, Appendix A), so every gradient comes from the AD.
+
+Inputs are tables: `clip` (V views x vertices, clip coordinates), `faces` (corners sorted by vertex index). A draw has one instance a
+view, `vertices` invocations an item, and pulls everything by `gl_VertexIndex`: no geometry shader, no primitive id. The result of a
+pixel is the code `2 (view F + face) + hard`, or -1; peels add the bits of the shifted depth (equation 3, soft depths scaled by r).
+"""
+from __future__ import annotations
+
+from ..optable import Draw, op
+from . import raster_reference as reference
+
+FUNCTIONS = """
+float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
+// Squared distance from p to the segment s; docs/conventions.md.
+float segment_distance2(vec2 p, vec4 s) {
+    vec2 d = s.zw - s.xy;
+    vec2 o = s.xy + clamp(dot(p - s.xy, d) / max(dot(d, d), 1e-20), 0.0, 1.0) * d - p;
+    return dot(o, o);
+}
+// The part of the edge a, b (homogeneous pixels) in front of the near plane, on screen; far away where there is none.
+vec4 clip_segment(vec3 a, vec3 b, float near) {
+    bool a_behind = a.z < near, b_behind = b.z < near;
+    if (a_behind && b_behind) return vec4(1e9);
+    vec3 d = b - a;
+    float t = (near - a.z) / (a_behind != b_behind ? d.z : 1.0);
+    if (a_behind) a += t * d;
+    else if (b_behind) b = a + t * d;
+    return vec4(a.xy / max(a.z, near), b.xy / max(b.z, near));
+}
+"""
+
+_PROLOGUE = """
+int view = gl_InstanceIndex;
+vec3 half_cell = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
+center = vec2(view % {columns}, view / {columns}) * 2.0 * half_cell.xy + half_cell.xy;
+gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+"""
+
+# Enlarge (paper 3.4.2): acute faces are stretched from the centroid until every edge has moved out by r; others, smallest angle
+# under 30 degrees, become a box along the longest edge. A face that crosses the near plane becomes an upright box.
+_ENLARGE = _PROLOGUE + """
+int f = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+ivec3 t = {faces_at}(f);
+vec4 c0 = {clip_at}(view * {vertices} + t.x), c1 = {clip_at}(view * {vertices} + t.y), c2 = {clip_at}(view * {vertices} + t.z);
+h0 = c0.xyw * half_cell; h1 = c1.xyw * half_cell; h2 = c2.xyw * half_cell;
+depths = vec3(c0.z, c1.z, c2.z);
+code = 2 * (view * {face_count} + f);
+float det = dot(h0, cross(h1, h2)) / (half_cell.x * half_cell.y);
+facing = det < 0.0 ? -1.0 : 1.0;
+float reach = float({radius}) + 0.02;
+s0 = clip_segment(h0, h1, {near}); s1 = clip_segment(h1, h2, {near}); s2 = clip_segment(h0, h2, {near});
+if (max(max(c0.w, c1.w), c2.w) >= {near} && abs(det) >= 1e-12) {
+    vec2 o;
+    if (min(min(c0.w, c1.w), c2.w) >= {near}) {
+        vec2 p0 = s0.xy, p1 = s0.zw, p2 = s1.zw;
+        vec2 d0 = p1 - p0, d1 = p2 - p1, d2 = p0 - p2;
+        vec3 l = vec3(length(d0), length(d1), length(d2));
+        float area = abs(cross2(d0, d2));
+        float longest = max(max(l.x, l.y), l.z);
+        float middle = l.x + l.y + l.z - longest - min(min(l.x, l.y), l.z);
+        if (area > 0.5 * longest * middle) {
+            vec2 g = (p0 + p1 + p2) / 3.0;
+            float stretch = 1.0 + reach * 3.0 * longest / area;
+            o = g + ((corner == 1 ? p1 : corner == 2 ? p2 : p0) - g) * stretch;
+        } else {
+            vec2 a = l.x == longest ? p0 : l.y == longest ? p1 : p2;
+            vec2 d = (l.x == longest ? d0 : l.y == longest ? d1 : d2) / max(longest, 1e-20);
+            if (longest < 1e-20) d = vec2(1.0, 0.0);
+            vec2 n = vec2(-d.y, d.x);
+            vec3 along = vec3(dot(p0 - a, d), dot(p1 - a, d), dot(p2 - a, d)), across = vec3(dot(p0 - a, n), dot(p1 - a, n), dot(p2 - a, n));
+            float lo = min(min(along.x, along.y), along.z) - reach, hi = max(max(along.x, along.y), along.z) + reach;
+            float under = min(min(across.x, across.y), across.z) - reach, over = max(max(across.x, across.y), across.z) + reach;
+            o = a + d * (corner == 1 || corner == 3 || corner == 5 ? hi : lo) + n * (corner >= 2 && corner != 3 ? over : under);
+        }
+    } else {
+        vec2 lo = vec2(1e9), hi = vec2(-1e9);
+        if (s0.x < 1e8) { lo = min(lo, min(s0.xy, s0.zw)); hi = max(hi, max(s0.xy, s0.zw)); }
+        if (s1.x < 1e8) { lo = min(lo, min(s1.xy, s1.zw)); hi = max(hi, max(s1.xy, s1.zw)); }
+        if (s2.x < 1e8) { lo = min(lo, min(s2.xy, s2.zw)); hi = max(hi, max(s2.xy, s2.zw)); }
+        lo = max(lo - reach, -2.0 * half_cell.xy); hi = min(hi + reach, 2.0 * half_cell.xy);
+        o = vec2(corner == 1 || corner == 3 || corner == 5 ? hi.x : lo.x, corner >= 2 && corner != 3 ? hi.y : lo.y);
+    }
+    gl_Position = vec4(o / half_cell.xy, 0.0, 1.0);
+}
+"""
+
+# SignedDist and Shift (paper 3.4.2, equation 3). Inside is decided by homogeneous edge functions relative to the pixel
+# (Olano and Greer 1997), which need no clipped triangle.
+_SHIFT = """
+vec2 q = gl_FragCoord.xy - center;
+vec2 a0 = h0.xy - q * h0.z, a1 = h1.xy - q * h1.z, a2 = h2.xy - q * h2.z;
+vec3 e = vec3(cross2(a1, a2), cross2(a2, a0), cross2(a0, a1)) * facing;
+float sum = e.x + e.y + e.z;
+bool hard = min(min(e.x, e.y), e.z) >= 0.0 && sum > 0.0 && dot(e, vec3(h0.z, h1.z, h2.z)) > {near} * sum;
+float depth;
+if (hard) depth = 0.5 * clamp(dot(e, depths) / max(dot(e, vec3(h0.z, h1.z, h2.z)), 1e-30), 0.0, 1.0);
+else {
+    float d = sqrt(min(min(segment_distance2(q, s0), segment_distance2(q, s1)), segment_distance2(q, s2)));
+    if (d > float({radius})) discard;
+    depth = 0.5 + 0.4999 * d / float({radius});
+}
+int found = code + int(hard);
+"""
+
+_PEELED = """
+ivec2 front = {previous};
+float front_depth = intBitsToFloat(front.y);
+if (front.x < 0 || depth < front_depth || (depth == front_depth && found <= front.x)) discard;
+"""
+
+_SOFT_VARYINGS = (("int", "code"), ("float", "facing"), ("vec2", "center"), ("vec3", "depths"), ("vec3", "h0"), ("vec3", "h1"),
+                  ("vec3", "h2"), ("vec4", "s0"), ("vec4", "s1"), ("vec4", "s2"))
+
+
+def _enlarged(fragment: str) -> Draw:
+    return Draw(_ENLARGE, fragment + "gl_FragDepth = depth;\n", _SOFT_VARYINGS, vertices=(6, "face_count"),
+                writes_depth=True)
+
+
+def _code(channels):
+    return lambda name, inputs, attrs: ("int" if channels == 1 else "ivec2", attrs["extent"])
+
+
+op("rasterize", "clip faces", infer=_code(1), reads="vertex vertex", stage="raster", functions=FUNCTIONS,
+   draws=(_enlarged(_SHIFT + "{y} = found;\n"),), ref=reference.rasterize, cost=1000,
+   doc="First layer, every face enlarged.")
+op("rasterize_first", "clip faces", infer=_code(2), reads="vertex vertex", stage="raster", functions=FUNCTIONS,
+   draws=(_enlarged(_SHIFT + "{y} = ivec2(found, floatBitsToInt(depth));\n"),), ref=reference.rasterize_first, cost=1000,
+   doc="First layer with its shifted depth, for peeling.")
+op("rasterize_peel", "clip faces previous", infer=_code(2), reads="vertex vertex own", stage="raster", functions=FUNCTIONS,
+   draws=(_enlarged(_SHIFT + _PEELED + "{y} = ivec2(found, floatBitsToInt(depth));\n"),), ref=reference.rasterize_peel, cost=1000,
+   doc="The layer behind `previous` (depth peeling).")
+
+# For one layer a pixel outside all hard faces has its nearest face edge on a fold or boundary edge: the hard pass needs no
+# fragment work and only those edges are enlarged. Equal to `rasterize` (docs/design.md).
+_HARD = _PROLOGUE + """
+int f = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
+ivec3 t = {faces_at}(f);
+gl_Position = {clip_at}(view * {vertices} + (corner == 0 ? t.x : corner == 1 ? t.y : t.z));
+code = 2 * (view * {face_count} + f) + 1;
+"""
+_FOLD = _PROLOGUE + """
+int edge = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+ivec4 v = {edges_at}(edge);
+ivec2 sides = {edge_faces_at}(edge);
+vec3 a = {clip_at}(view * {vertices} + v.x).xyw * half_cell, b = {clip_at}(view * {vertices} + v.y).xyw * half_cell;
+bool fold = v.w < 0;
+if (!fold) {
+    vec3 n = cross(a, b);
+    fold = dot(n, {clip_at}(view * {vertices} + v.z).xyw * half_cell) * dot(n, {clip_at}(view * {vertices} + v.w).xyw * half_cell) >= 0.0;
+}
+code = 2 * (view * {face_count} + sides.x);
+segment = clip_segment(a, b, {near});
+if (fold && segment.x < 1e8) {
+    float reach = float({radius}) + 0.02;
+    vec2 d = segment.zw - segment.xy;
+    float l = length(d);
+    d = l < 1e-20 ? vec2(1.0, 0.0) : d / l;
+    vec2 n = vec2(-d.y, d.x) * reach;
+    vec2 o = (corner == 1 || corner == 3 || corner == 5 ? segment.zw + d * reach : segment.xy - d * reach) + (corner >= 2 && corner != 3 ? n : -n);
+    gl_Position = vec4(o / half_cell.xy, 0.0, 1.0);
+}
+"""
+_FOLD_FRAGMENT = """
+float d = sqrt(segment_distance2(gl_FragCoord.xy - center, segment));
+if (d > float({radius})) discard;
+gl_FragDepth = 0.5 + 0.4999 * d / float({radius});
+{y} = code;
+"""
+op("rasterize_folds", "clip faces edges edge_faces", infer=_code(1), reads="vertex vertex vertex vertex", stage="raster",
+   functions=FUNCTIONS, ref=reference.rasterize_folds, cost=300,
+   draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count"),
+               depth_range=(0.0, 0.5)),
+          Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(6, "edge_count"),
+               writes_depth=True)),
+   doc="First layer: hard faces, then the enlarged fold and boundary edges; equal to `rasterize`.")
+
+op("nearest_edge", "code face_edges segments position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
+   reads="own texel texel own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,
+   glsl="""{y} = -1;
+if ({code} >= 0) {
+    int f_ = {code} >> 1, view_ = f_ / {face_count};
+    ivec3 e_ = {face_edges_at}(f_ - view_ * {face_count}) + view_ * {edge_count};
+    vec3 d_ = vec3(segment_distance2({position}, {segments_at}(e_.x)), segment_distance2({position}, {segments_at}(e_.y)),
+                   segment_distance2({position}, {segments_at}(e_.z)));
+    {y} = d_.x <= d_.y && d_.x <= d_.z ? e_.x : d_.y <= d_.z ? e_.y : e_.z;
+}""", doc="Entry of the face's edge nearest to the pixel; -1 where there is no face.")

@@ -1,0 +1,101 @@
+"""The raster ops in NumPy float64: faces one by one over the pixels they may reach. Meaning as in `raster.py`."""
+from __future__ import annotations
+
+import numpy as np
+
+
+def segment_distance2(p, s):
+    """Squared distance of points (..., 2) to segments (..., 4)."""
+    d = s[..., 2:] - s[..., :2]
+    t = np.clip(((p - s[..., :2]) * d).sum(-1) / np.maximum((d * d).sum(-1), 1e-20), 0, 1)
+    o = s[..., :2] + t[..., None] * d - p
+    return (o * o).sum(-1)
+
+
+def clip_segment(a, b, near):
+    """The part of the homogeneous edge a, b in front of the near plane on screen, (4,), or None."""
+    if a[2] < near and b[2] < near:
+        return None
+    if a[2] < near or b[2] < near:
+        c = a + (near - a[2]) / (b[2] - a[2]) * (b - a)
+        a, b = (c, b) if a[2] < near else (a, c)
+    return np.concatenate([a[:2] / a[2], b[:2] / b[2]])
+
+
+def _cross2(a, b):
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _fragments(clip, faces, extent, cell_w, cell_h, columns, views, vertices, face_count, radius, near):
+    """Yield (ys, xs, code, depth) of every face, in drawing order."""
+    half = np.array([cell_w / 2, cell_h / 2, 1.0])
+    clip, faces = clip.reshape(-1, 4), faces.reshape(-1, 3)[:face_count]
+    for view in range(views):
+        table = clip[view * vertices:(view + 1) * vertices]
+        corner = np.array([view % columns * cell_w, view // columns * cell_h])
+        for f, t in enumerate(faces):
+            c = table[t]
+            h = c[:, [0, 1, 3]] * half
+            det = np.linalg.det(c[:, [0, 1, 3]])
+            segments = [s for s in (clip_segment(h[a], h[b], near) for a, b in ((0, 1), (1, 2), (0, 2))) if s is not None]
+            if not segments or abs(det) < 1e-12:
+                continue
+            ends = np.array(segments).reshape(-1, 2)
+            lo = np.clip(np.floor(ends.min(0) - radius - 1 + half[:2]), 0, [cell_w, cell_h]).astype(int)
+            hi = np.clip(np.ceil(ends.max(0) + radius + 1 + half[:2]), 0, [cell_w, cell_h]).astype(int)
+            if (hi <= lo).any():
+                continue
+            ys, xs = (g.ravel() for g in np.mgrid[lo[1]:hi[1], lo[0]:hi[0]])
+            p = np.stack([xs, ys], 1) + 0.5 - half[:2]
+            a = [h[k, :2] - p * h[k, 2] for k in range(3)]
+            e = np.stack([_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])], 1) * (-1 if det < 0 else 1)
+            total, w = e.sum(1), e @ h[:, 2]
+            hard = (e.min(1) >= 0) & (total > 0) & (w > near * total)
+            d = np.sqrt(np.min([segment_distance2(p, s) for s in segments], axis=0))
+            keep = hard | (d <= radius)
+            with np.errstate(all="ignore"):
+                depth = np.where(hard, 0.5 * np.clip(e @ c[:, 2] / np.where(hard, w, 1), 0, 1), 0.5 + 0.4999 * d / radius)
+            yield ys[keep] + corner[1], xs[keep] + corner[0], 2 * (view * face_count + f) + hard[keep], depth[keep]
+
+
+def _layer(behind, clip, faces, extent, **attrs):
+    code = np.full((extent.height, extent.width), -1, np.int64)
+    depth = np.ones((extent.height, extent.width))
+    for ys, xs, c, d in _fragments(clip, faces, extent, **attrs):
+        nearer = d < depth[ys, xs]
+        if behind is not None:
+            front_code, front_depth = behind[0][ys, xs], behind[1][ys, xs]
+            nearer &= (front_code >= 0) & ((d > front_depth) | ((d == front_depth) & (c > front_code)))
+        ys, xs = ys[nearer], xs[nearer]
+        code[ys, xs], depth[ys, xs] = c[nearer], d[nearer]
+    return code, depth
+
+
+def rasterize(clip, faces, **attrs):
+    return _layer(None, clip, faces, **attrs)[0][..., None]
+
+
+def rasterize_folds(clip, faces, edges, edge_faces, edge_count, **attrs):
+    return rasterize(clip, faces, **attrs)
+
+
+def _with_depth(code, depth):
+    return np.stack([code, depth.view(np.int64)], 2)
+
+
+def rasterize_first(clip, faces, **attrs):
+    return _with_depth(*_layer(None, clip, faces, **attrs))
+
+
+def rasterize_peel(clip, faces, previous, **attrs):
+    return _with_depth(*_layer((previous[..., 0], np.ascontiguousarray(previous[..., 1]).view(np.float64)), clip, faces, **attrs))
+
+
+def nearest_edge(code, face_edges, segments, position, face_count, edge_count):
+    code = code[..., 0]
+    face = np.maximum(code >> 1, 0)
+    view = face // face_count
+    edges = face_edges.reshape(-1, 3)[face - view * face_count] + (view * edge_count)[..., None]
+    d = segment_distance2(position[..., None, :], segments.reshape(-1, 4)[edges])
+    nearest = np.take_along_axis(edges, d.argmin(-1)[..., None], -1)
+    return np.where(code[..., None] >= 0, nearest, -1)

@@ -1,0 +1,290 @@
+"""Functions to substages to stages (paper 3.3.3), under one device profile.
+
+In: the roots of one plan, lowered and simplified. Out: `Stage`s in running order, each a list of `Substage`s: one shader over one extent.
+
+A value must be stored where a reader is not at the same texel: another extent, a fetch, a sampler, the vertex stage. Those reads
+cut the graph into levels; all pixelwise work of one extent and one level can be one shader. A node is placed as late as
+its readers allow, at a level where a substage of its extent already exists if there is one. Values that are cheap to
+recompute from what the reader fetches anyway are recomputed instead of stored. Then substages that break a limit are split.
+`pack_naive` is the simple twin: one function a substage.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..cache.errors import PackError
+from ..cache.profile import Profile
+from .ir import UNIT, Extent, Node, topological
+from .optable import OWN, VERTEX
+from .ops import lookup as _lookup  # noqa: F401  (fills the op table)
+
+RECOMPUTE_COST = 24
+FORMAT_BITS = {"float": 32, "vec2": 64, "vec3": 128, "vec4": 128, "int": 32, "ivec2": 64, "ivec3": 128, "ivec4": 128}
+
+
+@dataclass(frozen=True)
+class Substage:
+    """One subpass: `nodes` in order, of which `outputs` are written; `reads` are (node, mode) from outside."""
+
+    extent: Extent
+    nodes: tuple[Node, ...]
+    outputs: tuple[Node, ...]
+    reads: tuple[tuple[Node, str], ...]
+
+    @property
+    def raster(self) -> bool:
+        return self.nodes[0].op.stage == "raster"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One render pass."""
+
+    extent: Extent
+    substages: tuple[Substage, ...]
+
+
+def _inline(node: Node) -> bool:
+    return node.op.stage == "inline"
+
+
+def _leaf(node: Node) -> bool:
+    return node.op.stage == "leaf"
+
+
+def _crosses(x: Node, user: Node, mode: str) -> bool:
+    """Whether this read needs x stored in an image."""
+    return (mode != OWN or x.extent != user.extent or x.op.stage == "raster" or user.op.stage == "raster")
+
+
+def _edges(node: Node):
+    for k, x in enumerate(node.inputs):
+        if not _inline(x):
+            yield x, node.op.read(k)
+
+
+def substage(nodes: Sequence[Node], outputs: Sequence[Node]) -> Substage:
+    """The substage of these nodes; what it reads is derived."""
+    inside, reads = set(nodes), {}
+    for node in nodes:
+        for x, mode in _edges(node):
+            if x not in inside:
+                reads[x, mode] = None
+    return Substage(nodes[0].extent, tuple(nodes), tuple(outputs), tuple(reads))
+
+
+def _levels(order: Sequence[Node], roots: set[Node]) -> dict[Node, int]:
+    """The level of each node; see the module's text."""
+    low: dict[Node, int] = {}
+    for n in order:
+        low[n] = 0 if _leaf(n) else max([1] + [low[x] + (0 if _leaf(x) else _crosses(x, n, m)) for x, m in _edges(n)])
+    top = max(low.values(), default=0)
+    high = dict.fromkeys(order, top)
+    level: dict[Node, int] = {}
+    groups: dict[Extent, set[int]] = {}
+    read: set[Node] = set()
+    for n in reversed(order):
+        if _leaf(n):
+            continue
+        existing = [] if n.op.stage == "raster" else [g for g in groups.get(n.extent, ()) if low[n] <= g <= high[n]]
+        level[n] = max(existing) if existing else (high[n] if n in read else low[n])
+        if n.op.stage != "raster":
+            groups.setdefault(n.extent, set()).add(level[n])
+        for x, m in _edges(n):
+            high[x] = min(high[x], level[n] - _crosses(x, n, m))
+            read.add(x)
+    return level
+
+
+def _groups(order: Sequence[Node], level: dict[Node, int]) -> list[list[Node]]:
+    groups: dict[tuple, list[Node]] = {}
+    for n in order:
+        if not _leaf(n):
+            key = (level[n], 0 if n.op.stage == "raster" else 1, n.extent.width, n.extent.height, n.extent.count,
+                   n.serial if n.op.stage == "raster" else 0)
+            groups.setdefault(key, []).append(n)
+    return [groups[key] for key in sorted(groups, key=lambda key: key[:5])]
+
+
+class _Recompute:
+    """Which values a group recomputes instead of reading."""
+
+    def __init__(self, order, roots, group_of):
+        self.group_of = group_of
+        self.stored = {n for n in order if _leaf(n) or n in roots or n.op.stage == "raster"}
+        for n in order:
+            self.stored.update(x for x, m in _edges(n) if _crosses(x, n, m))
+
+    def cone(self, x: Node, reads: set[Node]) -> list[Node] | None:
+        """Nodes to recompute for x (inputs first), or None if storing it is better."""
+        if x in self.stored or x.op.loop is not None:
+            return None
+        cone, fetched, cost, stack, seen = [], set(), 0, [x], {x}
+        while stack:
+            n = stack.pop()
+            cost += n.op.cost
+            cone.append(n)
+            if cost > RECOMPUTE_COST or n.op.loop is not None or n.op.stage != "pixel":
+                return None
+            for y, mode in _edges(n):
+                if y in self.stored or mode != OWN:
+                    fetched.add(y)
+                elif y not in seen:
+                    seen.add(y)
+                    stack.append(y)
+        new = {y for y in fetched if y not in reads and y.extent != UNIT}
+        return None if len(new) > 1 else topological_subset(cone)
+
+
+def topological_subset(nodes) -> list[Node]:
+    """These nodes, inputs first."""
+    members = set(nodes)
+    result, done = [], set()
+
+    def visit(n):
+        stack = [(n, iter(n.inputs))]
+        done.add(n)
+        while stack:
+            node, rest = stack[-1]
+            for x in rest:
+                if x in members and x not in done:
+                    done.add(x)
+                    stack.append((x, iter(x.inputs)))
+                    break
+            else:
+                result.append(node)
+                stack.pop()
+
+    for n in sorted(members, key=lambda n: n.serial):
+        if n not in done:
+            visit(n)
+    return result
+
+
+def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
+    """Substages in running order. Raises PackError where one function alone breaks a limit."""
+    root_set = {r for r in roots if not _leaf(r)}
+    order = [n for n in topological(roots) if not _inline(n)]
+    level = _levels(order, root_set)
+    groups = _groups(order, level)
+    group_of = {n: k for k, group in enumerate(groups) for n in group}
+    recompute = _Recompute(order, root_set, group_of)
+    members: list[list[Node]] = []
+    for k, group in enumerate(groups):
+        inside = set(group)
+        reads = {x for n in group for x, m in _edges(n) if x not in inside and x in recompute.stored}
+        extra: dict[Node, None] = {}
+        wanted = [x for n in group for x, m in _edges(n) if x not in inside and x not in recompute.stored]
+        for x in dict.fromkeys(wanted):
+            cone = recompute.cone(x, reads)
+            if cone is None:
+                recompute.stored.add(x)
+                reads.add(x)
+            else:
+                extra.update(dict.fromkeys(cone))
+        members.append(topological_subset([*group, *extra]) if extra else group)
+    read_elsewhere = set(root_set)
+    for nodes in members:
+        inside = set(nodes)
+        read_elsewhere.update(x for n in nodes for x, m in _edges(n) if x not in inside or _crosses(x, n, m))
+    result = []
+    for group, nodes in zip(groups, members):
+        own = set(group)
+        outputs = [n for n in nodes if n in own and n in read_elsewhere]
+        if outputs:
+            result += _split(_needed(nodes, outputs), outputs, profile)
+    return result
+
+
+def _needed(nodes, outputs) -> list[Node]:
+    """Those nodes that the outputs depend on."""
+    inside, keep, stack = set(nodes), set(outputs), list(outputs)
+    while stack:
+        for x, _ in _edges(stack.pop()):
+            if x in inside and x not in keep:
+                keep.add(x)
+                stack.append(x)
+    return [n for n in nodes if n in keep]
+
+
+def pack_naive(roots: Sequence[Node], profile: Profile) -> list[Substage]:
+    """The simple twin: every function is a substage of its own."""
+    return [substage([n], [n]) for n in topological(roots) if not _leaf(n) and not _inline(n)]
+
+
+def excess(s: Substage, profile: Profile) -> list[str]:
+    """What breaks a limit, one line each."""
+    sampled = {x for x, m in s.reads}
+    vertex = {x for x, m in s.reads if m == VERTEX}
+    counts = {
+        "maxColorAttachments": len(s.outputs), "maxFragmentOutputAttachments": len(s.outputs),
+        "maxFragmentCombinedOutputResources": len(s.outputs),
+        "maxPerStageDescriptorSampledImages": max(len(vertex), len(sampled - vertex)),
+        "maxDescriptorSetSampledImages": len(sampled),
+        "maxPerStageResources": max(len(vertex), len(sampled - vertex) + len(s.outputs)),
+        "maxPerStageDescriptorSamplers": sum(m == "filtered" for x, m in s.reads),
+        "maxFramebufferWidth": s.extent.width, "maxFramebufferHeight": s.extent.height,
+        "maxImageDimension2D": max(s.extent.width, s.extent.height),
+    }
+    lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
+             for name, found in counts.items() if found > profile.limit(name)]
+    bits = sum(FORMAT_BITS[n.vtype] for n in s.outputs)
+    if profile.tile_bits and bits > profile.tile_bits and len(s.outputs) > 1:
+        lines.append(f"needs {bits} tile colour bits a pixel; profile {profile.name} allows {profile.tile_bits}")
+    return lines
+
+
+def _split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Substage]:
+    """One substage, or several that each keep the limits: outputs in order, each with what it needs; later parts read the outputs of
+    earlier ones. A single output that is too wide is cut inside at the widest node that fits."""
+    whole = substage(nodes, outputs)
+    if not excess(whole, profile):
+        return [whole]
+    result: list[Substage] = []
+    stored: set[Node] = set()
+    pending = list(outputs)
+    while pending:
+        taken, kept = [], None
+        while pending:
+            trial = [*taken, pending[0]]
+            part = substage(_needed([n for n in nodes if n not in stored], trial), trial)
+            if excess(part, profile):
+                break
+            taken, kept = trial, part
+            pending.pop(0)
+        if kept is None:
+            pending.insert(0, _cut(nodes, pending[0], stored, profile))
+            continue
+        result.append(kept)
+        stored.update(taken)
+    return result
+
+
+def _cut(nodes: list[Node], output: Node, stored: set[Node], profile: Profile) -> Node:
+    """The node inside `output`'s cone to store first: the widest one that keeps the limits."""
+    best, width = None, 0
+    inside = [n for n in nodes if n not in stored]
+    for n in _needed(inside, [output]):
+        if n is not output:
+            part = substage(_needed(inside, [n]), [n])
+            if not excess(part, profile) and len(part.reads) > width:
+                best, width = n, len(part.reads)
+    if best is None:
+        part = substage(_needed(inside, [output]), [output])
+        names = " ".join(x.name for x, _ in part.reads)
+        raise PackError(f"function {output.name} ({output.op.name}) {excess(part, profile)[0]}: {names}")
+    return best
+
+
+def pack_stages(substages: Sequence[Substage]) -> list[Stage]:
+    """Substages to render passes: a substage joins the one before if it has the same extent and reads from it at the same texel only."""
+    stages: list[list[Substage]] = []
+    for s in substages:
+        stages.append([s])
+    return [Stage(group[0].extent, tuple(group)) for group in stages]
+
+
+def pack(roots: Sequence[Node], profile: Profile, naive: bool = False) -> list[Stage]:
+    """Stages in running order for one plan."""
+    return pack_stages(pack_naive(roots, profile) if naive else pack_substages(roots, profile))

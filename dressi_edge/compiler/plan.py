@@ -1,0 +1,258 @@
+"""Stages to a bundle: images and their reuse, render passes, pipelines, descriptors, waits.
+
+In: a `Program` and a profile. Out: the bundle's description, a plain dict as docs/bundle-format.md has it, and its blobs.
+"""
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..cache import vulkan as v
+from ..cache.profile import Profile
+from . import emit, spirv
+from .ir import CHANNELS, Node, is_int
+from .optable import apply
+from .pack import Stage, pack
+from ..cache.layout import Layout
+from .program import Program, extent_of
+from .simplify import lower, simplify
+from .specialize import specialize
+
+
+def format_number(vtype: str) -> int:
+    return v.FORMATS[emit.FORMATS[vtype]]
+
+
+def texels(array: np.ndarray, vtype: str) -> bytes:
+    """(height, width, channels) as the bytes of its image format."""
+    array = np.asarray(array, np.int32 if is_int(vtype) else np.float32)
+    if CHANNELS[vtype] == 3:
+        array = np.concatenate([array, np.zeros_like(array[..., :1])], 2)
+    return array.astype(array.dtype.newbyteorder("<")).tobytes()
+
+
+class _Table(dict):
+    """Numbers things by equality, in order of first use."""
+
+    def number(self, key) -> int:
+        return self.setdefault(key, len(self))
+
+
+class Assembler:
+    """Collects images, blobs, shaders, passes and pipelines over all plans of a program."""
+
+    def __init__(self, program: Program, profile: Profile, naive: bool = False, cache: bool = True):
+        self.program, self.profile, self.naive, self.cache = program, profile, naive, cache
+        self.blobs: list[bytes] = []
+        self._blob_at: dict[bytes, int] = {}
+        self.images: list[dict] = []
+        self.shaders, self.passes, self.pipelines, self.samplers = _Table(), _Table(), _Table(), _Table()
+        self.leaves: dict[Node, int] = {}
+        self.free: dict[tuple, list[int]] = {}
+        self.states: dict[str, int] = {}
+        self.plans: list[dict] = []
+        self.stage_lists: list[tuple[str, list[Stage]]] = []
+
+    def blob(self, data: bytes) -> int:
+        key = hashlib.sha256(data).digest()
+        if key not in self._blob_at:
+            self._blob_at[key] = len(self.blobs)
+            self.blobs.append(data)
+        return self._blob_at[key]
+
+    def new_image(self, fmt: int, width: int, height: int, slots: int = 1, data: int | None = None) -> int:
+        self.images.append({"format": fmt, "width": width, "height": height, "slots": slots, "usage": 0, "data": data})
+        return len(self.images) - 1
+
+    def leaf(self, node: Node) -> int:
+        """The image of a leaf."""
+        if node not in self.leaves:
+            data = None
+            if node.op.name == "constant":
+                data = self.blob(texels(node.attrs["data"].array, node.vtype))
+            role = node.op.name
+            slots = 2 if role == "state" and node.attrs["name"] in self.updated else 1
+            self.leaves[node] = self.new_image(format_number(node.vtype), node.extent.width, node.extent.height, slots, data)
+            if role in ("input", "state"):
+                self.images[self.leaves[node]]["usage"] |= v.USAGE_TRANSFER_DST | v.USAGE_TRANSFER_SRC
+            if role == "constant":
+                self.images[self.leaves[node]]["usage"] |= v.USAGE_TRANSFER_DST
+        return self.leaves[node]
+
+    def assemble(self) -> dict:
+        self.updated = {name for spec in self.program.plans for name in spec.updates}
+        self.outputs: dict[str, int] = {}
+        for spec in self.program.plans:
+            self._plan(spec)
+        values = []
+        for name, value in self.program.values.items():
+            role = self.program.roles[name]
+            image = self.outputs[name] if role == "output" else self.leaf(value.node)
+            layout: Layout = value.layout
+            initial = None if value.initial is None else self.blob(texels(layout.to_image(value.initial, name), layout.vtype))
+            values.append({"name": name, "role": role, "image": image, "type": layout.vtype, "layout": layout.kind,
+                           "width": layout.width, "height": layout.height, "count": layout.count, "columns": layout.columns,
+                           "initial": initial})
+        names = [value["name"] for value in values]
+        for plan in self.plans:
+            for key in ("updates", "reads", "outputs"):
+                plan[key] = [names.index(name) for name in plan[key]]
+        code = spirv.compile_all(self.shaders)
+        return {"meta": self.program.meta, "images": self.images, "samplers": list(self.samplers),
+                "shaders": [self.blob(code[job]) for job in self.shaders],
+                "passes": [_unfreeze(p) for p in self.passes], "pipelines": [_unfreeze(p) for p in self.pipelines],
+                "values": values, "plans": self.plans}
+
+    def _plan(self, spec) -> None:
+        names = [*spec.updates, *spec.outputs]
+        roots = simplify(lower(list(spec.updates.values()) + list(spec.outputs.values())))
+        needs = []
+        if self.cache:
+            roots, cached = specialize(roots, spec.dynamic, spec.name)
+            if cached:
+                targets = {node: self.leaf(apply("cached", name=name, vtype=node.vtype, extent=node.extent))
+                           for name, node in cached.items()}
+                self._run(f"{spec.name}.prepare", list(targets), [(image, 0) for image in targets.values()], [], [], 0)
+                needs = [len(self.plans) - 1]
+        targets, distinct, seen = [], [], set()
+        for name, root in zip(names, roots):
+            if root.op.stage in ("leaf", "inline") or root in seen:
+                layout = self.program.values[name].layout
+                root = apply("copy", root if root.extent == extent_of(layout) else apply("broadcast", root, extent=extent_of(layout)))
+            while root in seen:
+                root = apply("copy", root)
+            seen.add(root)
+            distinct.append(root)
+            if name in spec.updates:
+                targets.append((self.leaf(self.program.values[name].node), 1))
+            else:
+                if name not in self.outputs:
+                    layout = self.program.values[name].layout
+                    self.outputs[name] = self.new_image(format_number(layout.vtype), *layout.size)
+                    self.images[self.outputs[name]]["usage"] |= v.USAGE_TRANSFER_SRC
+                targets.append((self.outputs[name], 0))
+        self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs)
+
+    def _run(self, name, roots, targets, updates, outputs, steps, needs=()) -> None:
+        stages = pack(roots, self.profile, self.naive)
+        self.stage_lists.append((name, stages))
+        place = dict(zip(roots, targets))
+        last_read: dict[Node, int] = {}
+        reads: dict[str, None] = {}
+        for k, stage in enumerate(stages):
+            for s in stage.substages:
+                for x, _ in s.reads:
+                    last_read[x] = k
+                    if x.op.name in ("input", "state"):
+                        reads[x.attrs["name"]] = None
+        records, hazards = [], _Hazards()
+        for k, stage in enumerate(stages):
+            for s in stage.substages:
+                for n in s.outputs:
+                    if n not in place:
+                        place[n] = (self._take(n), 0)
+            records.append(self._stage(stage, place, hazards))
+            for s in stage.substages:
+                for n in [*dict(s.reads), *s.outputs]:
+                    if n in place and n not in roots and n.op.stage != "leaf" and last_read.get(n, k) == k:
+                        key = (format_number(n.vtype), n.extent.width, n.extent.height)
+                        if place[n][0] not in self.free.setdefault(key, []):
+                            self.free[key].append(place[n][0])
+        self.plans.append({"name": name, "stages": records, "updates": updates, "reads": list(reads), "outputs": outputs,
+                           "needs": list(needs), "steps": steps})
+
+    def _take(self, n: Node) -> int:
+        key = (format_number(n.vtype), n.extent.width, n.extent.height)
+        return self.free[key].pop() if self.free.get(key) else self.new_image(*key)
+
+    def _ref(self, node: Node, place: dict) -> int:
+        image, slot = place[node] if node in place else (self.leaf(node), 0)
+        return 2 * image + slot
+
+    def _stage(self, stage: Stage, place: dict, hazards: _Hazards) -> dict:
+        attachments: dict[int, dict] = {}
+        subpasses, layouts, read_refs = [], [], set()
+        depth = -1
+        for s in stage.substages:
+            colors = []
+            for n in s.outputs:
+                ref = self._ref(n, place)
+                self.images[ref // 2]["usage"] |= v.USAGE_COLOR
+                clear = s.raster
+                attachments[ref] = {"format": format_number(n.vtype), "load": v.LOAD_CLEAR if clear else v.LOAD_DONT_CARE,
+                                    "store": v.STORE_STORE, "clear": -1 if clear else 0}
+                colors.append(list(attachments).index(ref))
+            draws, bindings = emit.emit(s, self.profile)
+            refs = [self._ref(b.node, place) for b in bindings]
+            for ref in refs:
+                self.images[ref // 2]["usage"] |= v.USAGE_SAMPLED
+            read_refs.update(refs)
+            if s.raster:
+                image = self._depth(stage)
+                attachments[2 * image] = {"format": 0, "load": v.LOAD_CLEAR, "store": v.STORE_DONT_CARE, "clear": 1}
+                depth = list(attachments).index(2 * image)
+            layouts.append({"colors": tuple(colors), "inputs": (), "depth": depth})
+            subpasses.append((s, draws, bindings, refs))
+        key = _freeze({"attachments": tuple(_freeze(a) for a in attachments.values()), "subpasses": tuple(map(_freeze, layouts))})
+        number = self.passes.number(key)
+        wait = hazards.stage(read_refs, set(attachments))
+        return {"pass": number, "width": stage.extent.width, "height": stage.extent.height, "attachments": list(attachments),
+                "wait": wait, "subpasses": [[self._draw(d, bindings, refs, number, k, stage) for d in draws]
+                                            for k, (s, draws, bindings, refs) in enumerate(subpasses)]}
+
+    def _depth(self, stage: Stage) -> int:
+        key = (0, stage.extent.width, stage.extent.height)
+        if not self.free.get(key):
+            image = self.new_image(*key)
+            self.images[image]["usage"] = v.USAGE_DEPTH
+            self.free[key] = [image]
+        return self.free[key][0]
+
+    def _draw(self, draw: emit.DrawCode, bindings: Sequence[emit.Binding], refs, number, subpass, stage: Stage) -> dict:
+        kinds = []
+        for b in bindings:
+            if b.kind == emit.SAMPLER:
+                kind = v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER
+                sampler = self.samplers.number(v.ADDRESS_REPEAT if b.wrap == "repeat" else v.ADDRESS_CLAMP)
+            else:
+                kind, sampler = v.DESCRIPTOR_SAMPLED_IMAGE, -1
+            kinds.append((kind, (v.STAGE_VERTEX if b.vertex else 0) | (v.STAGE_FRAGMENT if b.fragment else 0), sampler))
+        pipeline = self.pipelines.number(_freeze({
+            "vertex": self.shaders.number(("vert", draw.vertex)), "fragment": self.shaders.number(("frag", draw.fragment)),
+            "pass": number, "subpass": subpass, "bindings": tuple(kinds), "depth": draw.depth}))
+        if draw.cell:
+            w, h, columns = draw.cell
+            cells = [[k % columns * w, k // columns * h, w, h] for k in range(draw.views)]
+        else:
+            cells = [[0, 0, stage.extent.width, stage.extent.height]]
+        return {"pipeline": pipeline, "images": refs, "vertices": draw.vertices, "cells": cells,
+                "depth_range": list(draw.depth_range)}
+
+
+class _Hazards:
+    """Which stages must wait for those before: a read or write of something written, or a write of something read."""
+
+    def __init__(self):
+        self.written: set[int] = set()
+        self.read: set[int] = set()
+        self.first = True
+
+    def stage(self, reads: set[int], writes: set[int]) -> bool:
+        wait = self.first or bool(self.written & (reads | writes) or self.read & writes)
+        if wait:
+            self.written, self.read, self.first = set(), set(), False
+        self.written |= writes
+        self.read |= reads
+        return wait
+
+
+def _freeze(d: dict) -> tuple:
+    return tuple(sorted(d.items()))
+
+
+def _unfreeze(x):
+    if isinstance(x, tuple) and x and all(isinstance(i, tuple) and len(i) == 2 and isinstance(i[0], str) for i in x):
+        return {k: _unfreeze(i) for k, i in x}
+    return [_unfreeze(i) for i in x] if isinstance(x, tuple) else x

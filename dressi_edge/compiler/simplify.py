@@ -1,0 +1,81 @@
+"""Rewrite a graph to a smaller equal one, and lower composites.
+
+`lower` replaces ops that no single shader can do (`sum`) by passes. `simplify` folds literals and applies the identities of RULES;
+all rows are exact on finite values: the reference gives the same bits before and after.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .ir import CHANNELS, Node, intern, is_int, rebuild
+from .ops.reduce import lower_sum
+from .optable import apply
+
+
+def _value(node: Node) -> float | int | None:
+    return node.attrs["value"] if node.op.name == "literal" else None
+
+
+def _as(x: Node, like: Node) -> Node | None:
+    """x if it has like's type and extent."""
+    return x if (x.vtype, x.extent) == (like.vtype, like.extent) else None
+
+
+def _zero(like: Node) -> Node | None:
+    return apply("literal", value=0 if is_int(like.vtype) else 0.0) if CHANNELS[like.vtype] == 1 and like.extent.count == 1 else None
+
+
+# op -> (inputs, node) -> replacement or None
+RULES = {
+    "add": lambda x, n: _as(x[1], n) if _value(x[0]) == 0 else _as(x[0], n) if _value(x[1]) == 0 else None,
+    "sub": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,
+    "mul": lambda x, n: (_as(x[1], n) if _value(x[0]) == 1 else _as(x[0], n) if _value(x[1]) == 1 else
+                         _zero(n) if 0 in (_value(x[0]), _value(x[1])) else None),
+    "div": lambda x, n: _as(x[0], n) if _value(x[1]) == 1 else None,
+    "neg": lambda x, n: x[0].inputs[0] if x[0].op.name == "neg" else None,
+    "stop_gradient": lambda x, n: x[0],
+    "broadcast": lambda x, n: _as(x[0], n),
+    "swizzle": lambda x, n: _swizzle(x[0], n),
+    "shift_right": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,
+}
+
+
+def _swizzle(x: Node, node: Node) -> Node | None:
+    channels = node.attrs["channels"]
+    if channels == "xyzw"[:x.channels]:
+        return x
+    if x.op.name == "swizzle":
+        return apply("swizzle", x.inputs[0], channels="".join(x.attrs["channels"]["xyzw".index(c)] for c in channels))
+    if x.op.name.startswith("compose") and len(channels) == 1:
+        return _as(x.inputs["xyzw".index(channels)], node)
+    return None
+
+
+def simplify(roots: Sequence[Node]) -> list[Node]:
+    """The roots' equals after literal folding and RULES."""
+
+    def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
+        if inputs and all(x.op.name == "literal" for x in inputs) and CHANNELS[node.vtype] == 1 and node.extent.count == 1 \
+                and node.op.stage == "pixel":
+            value = node.op.ref(*(np.array([[[_value(x)]]]) for x in inputs), **node.attrs).item()
+            if np.isfinite(value):
+                return apply("literal", value=int(value) if is_int(node.vtype) else float(value))
+        rule = RULES.get(node.op.name)
+        return (rule and rule(inputs, node)) or intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+
+    new = rebuild(roots, rewrite)
+    return [new[root] for root in roots]
+
+
+def lower(roots: Sequence[Node]) -> list[Node]:
+    """The roots' equals without composite ops."""
+
+    def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
+        if node.op.name == "sum":
+            return lower_sum(inputs[0], node.attrs["count"])
+        return intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+
+    new = rebuild(roots, rewrite)
+    return [new[root] for root in roots]

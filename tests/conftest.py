@@ -1,0 +1,19 @@
+"""What several test modules share."""
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def pytest_addoption(parser):
+    parser.addoption("--update-golden", action="store_true", help="write the golden files anew instead of comparing with them")
+
+
+@pytest.fixture(scope="session")
+def shared_dir():
+    """The folder shared/ beside the checkout: data sets and meshes too large for it."""
+    if not SHARED.is_dir():
+        pytest.skip("no folder shared/ beside the checkout: its data sets and meshes are not in the repository")
+    return SHARED
