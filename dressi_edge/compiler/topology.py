@@ -1,0 +1,70 @@
+"""Who touches whom in a mesh, once, at compile time.
+
+In: faces (F, 3) and the vertex count. Out: corners sorted by vertex index, unique edges, which faces they bound, neighbours. Edges are
+numbered in order of the first face that has them, so the first face of an edge is its lowest.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """faces (F, 3) int; vertex_count V."""
+
+    faces: np.ndarray
+    vertex_count: int
+
+    @cached_property
+    def sorted_faces(self) -> np.ndarray:
+        """(F, 3), each row ascending: edges shared by faces are evaluated in one direction."""
+        return np.sort(self.faces, axis=1)
+
+    @cached_property
+    def _edge_index(self) -> tuple[np.ndarray, np.ndarray]:
+        f = self.sorted_faces
+        halves = np.stack([f[:, [0, 1]], f[:, [1, 2]], f[:, [0, 2]]], 1).reshape(-1, 2).astype(np.int64)
+        keys = halves[:, 0] * self.vertex_count + halves[:, 1]
+        _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        rank = np.argsort(np.argsort(first, kind="stable"), kind="stable")
+        return halves[np.sort(first)], rank[inverse].reshape(-1, 3)
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(E, 2), lower vertex first."""
+        return self._edge_index[0]
+
+    @property
+    def face_edges(self) -> np.ndarray:
+        """(F, 3): the edges of corners 01, 12, 02 of the sorted face."""
+        return self._edge_index[1]
+
+    @cached_property
+    def edge_faces(self) -> np.ndarray:
+        """(E, 2): the first two faces of an edge, ascending; -1 at a boundary, -2 in second place where more than two meet."""
+        owner = np.repeat(np.arange(len(self.faces)), 3)
+        edge = self.face_edges.reshape(-1)
+        order = np.argsort(edge, kind="stable")
+        start = np.searchsorted(edge[order], np.arange(len(self.edges) + 1))
+        count = np.diff(start)
+        second = owner[order[np.minimum(start[:-1] + 1, len(order) - 1)]]
+        return np.stack([owner[order[start[:-1]]], np.where(count == 1, -1, np.where(count == 2, second, -2))], 1)
+
+    @cached_property
+    def edge_vertices(self) -> np.ndarray:
+        """(E, 4): the edge's ends and the far corners of its two faces; -1 in last place where there are not exactly two."""
+        ends, faces = self.edges, self.edge_faces
+        total = self.sorted_faces.sum(1)
+        far = [np.where(faces[:, k] >= 0, total[np.maximum(faces[:, k], 0)] - ends.sum(1), -1) for k in (0, 1)]
+        return np.stack([ends[:, 0], ends[:, 1], *far], 1)
+
+    @cached_property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Compressed rows (V, 2) and columns (2 E,): the vertices that share an edge with each vertex, ascending."""
+        a = np.concatenate([self.edges, self.edges[:, ::-1]])
+        a = a[np.lexsort((a[:, 1], a[:, 0]))]
+        start = np.searchsorted(a[:, 0], np.arange(self.vertex_count + 1))
+        return np.stack([start[:-1], start[1:]], 1), a[:, 1]
