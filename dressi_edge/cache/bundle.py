@@ -111,8 +111,7 @@ def loads(data: bytes) -> Bundle:
     if hashlib.sha256(text).digest() != digest:
         raise BundleError("the description's checksum does not match; the file is damaged")
     try:
-        description = msgpack.unpackb(text, raw=False, strict_map_key=True, max_buffer_size=size + 1,
-                                      object_pairs_hook=_unique)
+        description = msgpack.unpackb(text, raw=False, strict_map_key=True, object_pairs_hook=_unique)
     except BundleError:
         raise
     except Exception as e:  # msgpack raises many kinds

@@ -74,7 +74,7 @@ class _Instance:
         for bit in SEVERITIES:
             severities |= bit
         types = (vk.VK_DEBUG_UTILS_MESSAGE_TYPE_GENERAL_BIT_EXT | vk.VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT
-                 | vk.VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT)
+)
         if self._callback is None:
             self._callback = _callback(self.messages)
             _CALLBACKS[id(self._callback)] = self._callback

@@ -1,0 +1,115 @@
+"""Device memory: the bundle's images in one allocation a memory type, and a staging buffer for what goes in and out."""
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from ..cache import vulkan as v
+from ..cache.errors import DeviceError
+from . import vk
+
+ASPECT = {False: vk.VK_IMAGE_ASPECT_COLOR_BIT, True: vk.VK_IMAGE_ASPECT_DEPTH_BIT}
+
+
+def find_memory(device, bits: int, wanted: int) -> int:
+    """The first memory type among `bits` with the wanted properties, or without them if none has."""
+    for need in (wanted, 0):
+        for k, (flags, _) in enumerate(device.memory_types):
+            if bits >> k & 1 and flags & need == need:
+                return k
+    raise DeviceError(f"{device.name} has no memory for an image of type bits {bits:#x}")
+
+
+class Images:
+    """Every image of a bundle: `views[image][slot]`, `handles[image][slot]`; `bytes` is what they occupy."""
+
+    def __init__(self, device, records: list[dict], depth_format: int):
+        self.device, self.records, self.bytes = device, records, 0
+        self.handles: list[list[int]] = []
+        self.views: list[list[int]] = []
+        self.memory: list[int] = []
+        try:
+            self._create(depth_format)
+        except BaseException:
+            self.close()
+            raise
+
+    def _create(self, depth_format: int) -> None:
+        pools: dict[int, list[tuple[int, int]]] = {}
+        sizes: dict[int, int] = {}
+        for r in self.records:
+            self.handles.append([])
+            for _ in range(r["slots"]):
+                image = vk.CreateImage(self.device.device, vk.VkImageCreateInfo(
+                    imageType=vk.VK_IMAGE_TYPE_2D, format=r["format"] or depth_format, extent=(r["width"], r["height"], 1), mipLevels=1,
+                    arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
+                    usage=r["usage"] | (0 if r["format"] == 0 else v.USAGE_TRANSFER_DST),
+                    sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE, initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
+                self.handles[-1].append(image)
+                q = vk.GetImageMemoryRequirements(self.device.device, image)
+                kind = find_memory(self.device, q.memoryTypeBits, vk.VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT)
+                offset = -(-sizes.get(kind, 0) // q.alignment) * q.alignment
+                sizes[kind] = offset + q.size
+                pools.setdefault(kind, []).append((image, offset))
+        for kind, size in sizes.items():
+            memory = vk.AllocateMemory(self.device.device, vk.VkMemoryAllocateInfo(allocationSize=size, memoryTypeIndex=kind))
+            self.memory.append(memory)
+            self.bytes += size
+            for image, offset in pools[kind]:
+                vk.BindImageMemory(self.device.device, image, memory, offset)
+        for r, handles in zip(self.records, self.handles):
+            depth = r["format"] == 0
+            self.views.append([vk.CreateImageView(self.device.device, vk.VkImageViewCreateInfo(
+                image=h, viewType=vk.VK_IMAGE_VIEW_TYPE_2D, format=r["format"] or depth_format,
+                subresourceRange=(ASPECT[depth], 0, 1, 0, 1))) for h in handles])
+
+    def close(self) -> None:
+        for views in self.views:
+            for view in views:
+                vk.DestroyImageView(self.device.device, view)
+        for handles in self.handles:
+            for handle in handles:
+                vk.DestroyImage(self.device.device, handle)
+        for memory in self.memory:
+            vk.FreeMemory(self.device.device, memory)
+        self.views, self.handles, self.memory = [], [], []
+
+
+def image_bytes(record: dict) -> int:
+    return 4 * v.FORMAT_CHANNELS[record["format"]] * record["width"] * record["height"]
+
+
+class Staging:
+    """A host-visible buffer that grows to the largest transfer."""
+
+    def __init__(self, device):
+        self.device, self.size, self.buffer, self.memory, self.view = device, 0, 0, 0, None
+
+    def reserve(self, size: int) -> None:
+        if size <= self.size:
+            return
+        self.close()
+        self.buffer = vk.CreateBuffer(self.device.device, vk.VkBufferCreateInfo(
+            size=size, usage=vk.VK_BUFFER_USAGE_TRANSFER_SRC_BIT | vk.VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+            sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE))
+        q = vk.GetBufferMemoryRequirements(self.device.device, self.buffer)
+        wanted = vk.VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | vk.VK_MEMORY_PROPERTY_HOST_COHERENT_BIT
+        kind = find_memory(self.device, q.memoryTypeBits, wanted)
+        self.memory = vk.AllocateMemory(self.device.device, vk.VkMemoryAllocateInfo(allocationSize=q.size, memoryTypeIndex=kind))
+        vk.BindBufferMemory(self.device.device, self.buffer, self.memory, 0)
+        address = vk.MapMemory(self.device.device, self.memory, 0, size)
+        self.view = np.frombuffer((ctypes.c_uint8 * size).from_address(address), np.uint8)
+        self.size = size
+
+    def close(self) -> None:
+        if self.buffer:
+            vk.DestroyBuffer(self.device.device, self.buffer)
+        if self.memory:
+            vk.FreeMemory(self.device.device, self.memory)
+        self.size, self.buffer, self.memory, self.view = 0, 0, 0, None
+
+
+def region(record: dict, offset: int):
+    """The copy of a whole image to or from the staging buffer."""
+    return vk.VkBufferImageCopy(offset, 0, 0, (vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1), (0, 0, 0), (record["width"], record["height"], 1))
