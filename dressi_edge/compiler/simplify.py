@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .ir import CHANNELS, Node, intern, is_int, rebuild
+from .ir import CHANNELS, UNIT, Node, intern, is_int, rebuild
 from .ops.reduce import lower_sum
 from .optable import apply
 
@@ -57,11 +57,11 @@ def simplify(roots: Sequence[Node]) -> list[Node]:
     """The roots' equals after literal folding and RULES."""
 
     def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
-        if inputs and all(x.op.name == "literal" for x in inputs) and CHANNELS[node.vtype] == 1 and node.extent.count == 1 \
-                and node.op.stage == "pixel":
-            value = node.op.ref(*(np.array([[[_value(x)]]]) for x in inputs), **node.attrs).item()
-            if np.isfinite(value):
-                return apply("literal", value=int(value) if is_int(node.vtype) else float(value))
+        if inputs and all(x.op.name == "literal" for x in inputs) and node.extent == UNIT and node.op.stage == "pixel":
+            value = node.op.ref(*(x.op.ref(_value(x)) for x in inputs), **node.attrs)[0, 0]
+            if np.isfinite(value).all():
+                value = tuple(map(int if is_int(node.vtype) else float, value))
+                return apply("literal", value=value if len(value) > 1 else value[0])
         rule = RULES.get(node.op.name)
         return (rule and rule(inputs, node)) or intern(node.op, inputs, node.attrs, node.vtype, node.extent)
 

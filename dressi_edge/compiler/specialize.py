@@ -34,7 +34,7 @@ def specialize(roots: Sequence[Node], dynamic: frozenset[str], prefix: str) -> t
 
     def keep(n: Node) -> Node:
         """n itself, rebuilt, or its cached leaf."""
-        if n.op.stage in ("leaf", "inline") or cost.get(n, 0) <= KEEP_COST:
+        if n.op.stage in ("leaf", "inline") or cost.get(n, 0) <= KEEP_COST or new[n].op.name == "cached":
             return new[n]
         name = f"{prefix}.cached{len(cached)}"
         cached[name] = n

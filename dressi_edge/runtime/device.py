@@ -73,8 +73,8 @@ class _Instance:
         severities = 0
         for bit in SEVERITIES:
             severities |= bit
-        types = (vk.VK_DEBUG_UTILS_MESSAGE_TYPE_GENERAL_BIT_EXT | vk.VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT
-)
+        # no performance hints: images stay in one layout on purpose
+        types = vk.VK_DEBUG_UTILS_MESSAGE_TYPE_GENERAL_BIT_EXT | vk.VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT
         if self._callback is None:
             self._callback = _callback(self.messages)
             _CALLBACKS[id(self._callback)] = self._callback

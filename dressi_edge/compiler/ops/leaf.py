@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...cache.errors import GraphError
-from ..ir import CHANNELS, UNIT, Data, Extent, is_int
+from ..ir import CHANNELS, UNIT, Data, Extent, is_int, vector_type
 from ..optable import op
 
 
@@ -14,20 +14,21 @@ def _leaf(name, inputs, attrs):
 
 def _literal(name, inputs, attrs):
     value = attrs["value"]
-    if isinstance(value, float) and not np.isfinite(value):
+    parts = value if isinstance(value, tuple) else (value,)
+    if not np.isfinite(parts).all():
         raise GraphError(f"literal {value}: finite numbers are allowed")
-    return ("int" if isinstance(value, int) else "float"), UNIT
+    return vector_type(len(parts), isinstance(parts[0], int)), UNIT
 
 
-def literal_glsl(value: int | float) -> str:
-    """A number as GLSL, rounded to fp32."""
+def literal_glsl(value: int | float | tuple) -> str:
+    """A number or vector as GLSL, rounded to fp32."""
+    if isinstance(value, tuple):
+        return f"{vector_type(len(value), isinstance(value[0], int))}({', '.join(map(literal_glsl, value))})"
     return str(value) if isinstance(value, int) else repr(float(np.float32(value)))
 
 
-op("literal", "", infer=_literal, stage="inline", cost=0,
-   ref=lambda value: np.array([[[value]]], np.int64 if isinstance(value, int) else np.float64),
-   glsl=lambda node: f"{{y}} = {literal_glsl(node.attrs['value'])};",
-   doc="A number.")
+op("literal", "", infer=_literal, stage="inline", cost=0, ref=lambda value: np.atleast_1d(np.array(value))[None, None],
+   glsl=lambda node: f"{{y}} = {literal_glsl(node.attrs['value'])};", doc="A number, or a tuple of them as a vector.")
 
 
 def _constant(name, inputs, attrs):

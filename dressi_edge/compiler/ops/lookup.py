@@ -152,6 +152,9 @@ def _lookup_ref(entries, index, box=None):
 
 
 def _lookup_vjp(g, y, entries, index):
+    if index.extent == UNIT:
+        own = apply("texel_index", extent=entries.extent)
+        return apply("select", apply("equal", own, index), g, 0.0), None
     if index.op.name != "constant":
         raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() the box of pixels "
                          "of each entry, or cut the path with stop_gradient")

@@ -84,3 +84,15 @@ op("window_or", "a", infer=lambda name, inputs, attrs: ("int", inputs[0].extent)
     for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {y} |= {a}(ivec2(a_, b_)); }""",
    sample=lambda rng: ([(rng.random((12, 10, 1)) < 0.1).astype(np.int64) * 5], {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6}),
    doc="Bitwise or over a window of 2 dx + 1 by 2 dy + 1 pixels that stays in the pixel's view: edge detection and dilation.")
+
+
+op("hard_window", "code", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel", cost=30,
+   ref=lambda code, **attrs: _window_ref(np.where((code[..., :1] >= 0) & (code[..., :1] & 1 == 1), 2, 1), **attrs),
+   glsl=lambda node: """{ ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_h});
+    ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));
+    {y} = 0;
+    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {
+        int s_ = {code}(ivec2(a_, b_))CHANNEL; {y} |= s_ >= 0 && (s_ & 1) == 1 ? 2 : 1; } }""".replace(
+       "CHANNEL", "" if node.inputs[0].channels == 1 else ".x"),
+   sample=lambda rng: ([rng.integers(-1, 9, (12, 10, 1))], {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6}),
+   doc="window_or of the frontal stencil S^H of a raster code: bit 1 where a hard face is in the window, bit 0 where none is.")

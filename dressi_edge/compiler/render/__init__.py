@@ -1,0 +1,1 @@
+"""Building blocks of problems, all plain graph: objectives, normals, optimizers, schedules."""

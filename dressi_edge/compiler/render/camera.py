@@ -1,0 +1,95 @@
+"""Cameras on the device: tables of views, and vertices to clip coordinates (docs/conventions.md, "Projection").
+
+In: positions (V table), poses and intrinsics (tables of N views). Out: the N x V table of clip coordinates, differentiable by all.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cameras import Camera
+from ..functions import apply, channels, compose, constant_table, dot, lookup, select, sqrt
+from ..ir import Node
+
+
+@dataclass(frozen=True)
+class ViewTable:
+    """Tables of N views: rows of world to camera (three vec4), and projection coefficients (2 fx / width, 2 fy / height,
+    2 cx / width - 1, 2 cy / height - 1). near and far are common."""
+
+    rows: tuple[Node, Node, Node]
+    projection: Node
+    count: int
+    near: float
+    far: float
+
+    def choose(self, view: Node) -> ViewTable:
+        """The table of the one view with this 1x1 index."""
+        rows = tuple(lookup(row, view) for row in self.rows)
+        return ViewTable(rows, lookup(self.projection, view), 1, self.near, self.far)
+
+    def position(self) -> Node:
+        """Camera centres in world space, N x vec3: -R^T t."""
+        r = self.rows
+        return -compose(*(r[0].w * channels(r[0])[k] + r[1].w * channels(r[1])[k] + r[2].w * channels(r[2])[k] for k in range(3)))
+
+
+def projection_rows(cameras: Sequence[Camera]) -> np.ndarray:
+    """(N, 4) projection coefficients."""
+    return np.array([[2 * c.fx / c.width, 2 * c.fy / c.height, 2 * c.cx / c.width - 1, 2 * c.cy / c.height - 1] for c in cameras])
+
+
+def pose_rows(cameras: Sequence[Camera]) -> np.ndarray:
+    """(N, 3, 4) world to camera."""
+    return np.array([c.world_to_camera[:3] for c in cameras])
+
+
+def fixed_views(cameras: Sequence[Camera]) -> ViewTable:
+    """Views known at compile time."""
+    rows = pose_rows(cameras)
+    return ViewTable(tuple(constant_table(rows[:, k]) for k in range(3)), constant_table(projection_rows(cameras)), len(cameras),
+                     float(min(c.near for c in cameras)), float(max(c.far for c in cameras)))
+
+
+def rotation_rows(rotation: Node) -> tuple[Node, Node, Node]:
+    """Rows of the rotation matrix of a rotation vector (Rodrigues); smooth at zero, where sin a / a and (1 - cos a) / a^2 are series."""
+    a2 = dot(rotation, rotation)
+    small = a2 < 1e-2
+    safe = select(small, 1.0, a2)
+    a = sqrt(safe)
+    s = select(small, 1.0 - a2 / 6.0 * (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0)), apply("sin", a) / a)
+    half = apply("sin", a * 0.5)
+    c = select(small, 0.5 - a2 / 24.0 * (1.0 - a2 / 30.0 * (1.0 - a2 / 56.0)), 2.0 * half * half / safe)
+    x, y, z = channels(rotation)
+    return (compose(1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y),
+            compose(c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x),
+            compose(c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)))
+
+
+def posed_views(base: ViewTable, rotation: Node, translation: Node) -> ViewTable:
+    """Views whose poses are parameters: rotation vectors and translations (N x vec3) applied after the base poses:
+    x_cam = R(rotation) (R0 x + t0) + translation. Zero leaves the base poses."""
+    turned = rotation_rows(rotation)
+    rows = []
+    for row, t in zip(turned, channels(translation)):
+        r = row.x * base.rows[0] + row.y * base.rows[1] + row.z * base.rows[2]
+        rows.append(compose(r.x, r.y, r.z, r.w + t))
+    return ViewTable(tuple(rows), base.projection, base.count, base.near, base.far)
+
+
+def to_clip(positions: Node, views: ViewTable) -> Node:
+    """Clip coordinates, view-major table of N x V."""
+    vertices, n = positions.extent.count, views.count
+    p = lookup(positions, np.tile(np.arange(vertices), n)) if n > 1 else positions
+    view = np.repeat(np.arange(n), vertices)
+
+    def at(table: Node) -> Node:
+        return lookup(table, view) if n > 1 else table
+
+    point = compose(p.x, p.y, p.z, 1.0)
+    x, y, w = dot(at(views.rows[0]), point), dot(at(views.rows[1]), point), -dot(at(views.rows[2]), point)
+    k = at(views.projection)
+    scale = views.far / (views.far - views.near)
+    return compose(k.x * x + k.z * w, k.w * w - k.y * y, scale * (w - views.near), w)
