@@ -1,6 +1,6 @@
 """Losses of images and regularizers of meshes: graph in, a 1x1 float out.
 
-Means count every texel of the extent and no padding. Regularizers take the vec3 table of vertex positions and the mesh's topology; they
+Means count every texel of the extent and no padding. Regularizers take the vec3 table of vertex positions and the topology, and
 give zero with zero gradient wherever a length or an angle is not defined.
 """
 from __future__ import annotations
@@ -27,10 +27,10 @@ from ..functions import (
 from ..ir import Node
 from ..optable import apply, as_node
 from ..topology import Topology
-from .normals import DEGENERATE_FACE, check_positions, corners, incidence, unit_face_normals
+from .normals import DEGENERATE, check_positions, corners, incidence, unit_face_normals
 
-# Limits of one corner's cotangent. The lower keeps weights positive, so that each vertex is drawn to a point between its neighbours
-# whatever the mesh looks like: angles over 89.9 degrees count as that. The upper one (2.9 degrees) stops slivers from taking over.
+# Limits of one corner's cotangent. The lower one keeps weights positive, so that each vertex is drawn to a point between its
+# neighbours on any mesh: angles over 89.9 degrees count as that. The upper one (2.9 degrees) stops slivers from taking over.
 COTANGENTS = (1e-3, 20.0)
 
 
@@ -46,7 +46,7 @@ def _image_mean(difference: Node, channels: int, mask: Node | None) -> Node:
 def l1(image: Node, target: Node, mask: Node | None = None) -> Node:
     """Mean over texels and channels of |image - target|: float or vec images of equal extent (or 1x1).
 
-    `mask`: a float image in [0, 1] that weighs each texel; the mean is still over all texels, so the loss shrinks with the mask.
+    mask: a float image in [0, 1] that weighs each texel; the mean is still over all texels, so the loss shrinks with the mask.
     """
     d = absolute(image - target)
     return _image_mean(apply("sum_channels", d) if d.channels > 1 else d, d.channels, mask)
@@ -65,9 +65,9 @@ def _mean_length(d: Node, power: int) -> Node:
 
 
 def uniform_laplacian(positions: Node, topology: Topology, power: int = 1) -> Node:
-    """Mean over all vertices of |p - mean of p's neighbours| (power 1) or its square (power 2); a vertex without edges counts as 0.
+    """Mean over all vertices of |p - mean of p's neighbours| (power 1) or its square (power 2).
 
-    positions: vec3 table of V. Power 1 scales with the mesh's size, power 2 with its square. Raises GraphError.
+    positions: vec3 table of V. A vertex without edges counts as 0. Raises GraphError.
     """
     check_positions(positions, topology.vertex_count)
     rows, cols = topology.neighbours
@@ -78,17 +78,17 @@ def uniform_laplacian(positions: Node, topology: Topology, power: int = 1) -> No
 
 
 def cotangent_laplacian(positions: Node, topology: Topology, power: int = 1) -> Node:
-    """As `uniform_laplacian`, neighbours weighted by the cotangents of the angles opposite their edge, each row normalized to 1.
+    """As `uniform_laplacian`, neighbours weighted by the cotangents of the angles opposite their edge; weights add up to 1.
 
-    The weights follow the positions without gradient (the usual lagged scheme). Each cotangent is limited to COTANGENTS; faces with
-    corners on a line have no weight; a vertex without weight counts as 0. Source: Desbrun et al., SIGGRAPH 1999. Raises GraphError.
+    The weights follow the positions without gradient. A cotangent is limited to COTANGENTS; a face with corners on a line has
+    no weight, and a vertex without weight counts as 0. Source: Desbrun et al., SIGGRAPH 1999, section 4. Raises GraphError.
     """
     check_positions(positions, topology.vertex_count)
     p0, p1, p2 = corners(positions, topology.faces)
     a, b, c = p1 - p0, p2 - p0, p2 - p1
     n = apply("cross", a, b)
     area, size = sqrt(dot(n, n)), dot(a, a) + dot(b, b) + dot(c, c)
-    safe = area > size * DEGENERATE_FACE
+    safe = area > size * DEGENERATE
     cotangents = clamp(compose(dot(a, b), -dot(a, c), dot(b, c)) / select(safe, area, 1.0), *COTANGENTS)
     w = stop_gradient(select(safe, cotangents, 0.0))
     to_1, to_2, side = a * w.z, b * w.y, c * w.x  # edges of corner 0 and the far one, each with the cotangent opposite
@@ -103,11 +103,11 @@ def cotangent_laplacian(positions: Node, topology: Topology, power: int = 1) -> 
 
 
 def _edge_signs(topology: Topology, edge: np.ndarray, pair: np.ndarray) -> np.ndarray:
-    """Of the given edges (n,) with faces pair (n, 2): 1 where the faces run along the edge in opposite directions, as they do on a
-    consistently oriented mesh, else -1."""
+    """Of edges (n,) with faces pair (n, 2): 1 where the faces run along the edge in opposite directions, as they do on a
+    consistently wound mesh, else -1."""
     f = topology.faces
     order = np.argsort(f, axis=1, kind="stable")
-    turn = np.where((order[:, 1] - order[:, 0]) % 3 == 1, 1, -1)  # is the sorted face a rotation of the face, or a mirror image?
+    turn = np.where((order[:, 1] - order[:, 0]) % 3 == 1, 1, -1)  # is the sorted face a rotation or a mirror image of the face?
     along = turn[:, None] * np.array([1, 1, -1])  # of sorted corners 01, 12, 02
     first, second = (along[pair[:, k], (topology.face_edges[pair[:, k]] == edge[:, None]).argmax(1)] for k in (0, 1))
     return -first * second
@@ -116,8 +116,8 @@ def _edge_signs(topology: Topology, edge: np.ndarray, pair: np.ndarray) -> np.nd
 def normal_consistency(positions: Node, topology: Topology) -> Node:
     """Mean over the edges of exactly two faces of 1 - cos(angle between the faces' normals): 0 flat, 2 folded over.
 
-    Normals follow the winding of `topology.faces`; where two neighbours are wound against each other one of them is turned. An edge of
-    a face with corners on a line counts as 0. Without such edges the loss is 0. Raises GraphError.
+    Normals follow the winding of `topology.faces`; of two neighbours wound against each other one is turned. An edge of a face
+    with corners on a line counts as 0, and so does a mesh without edges of two faces. Raises GraphError.
     """
     check_positions(positions, topology.vertex_count)
     edge = np.flatnonzero(topology.edge_faces[:, 1] >= 0)

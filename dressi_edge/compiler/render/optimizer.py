@@ -1,7 +1,7 @@
 """Optimizers as graph: from a parameter and its gradient, the next parameter and moments.
 
-The moments are states of the program beside the parameter. What depends on the step alone (rates, bias corrections) is 1x1, computed
-once a step. Step 0 ignores the stored moments: its factor of decay is 0, so that a later phase starts afresh on the same states.
+The moments are states of the program beside the parameter. What depends on the step alone (rates, bias corrections) is 1x1,
+computed once a step. Step 0 decays the stored moments by a factor of 0, so that a later phase starts afresh on the same states.
 """
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def _decay(step: Node, factor: float) -> Node:
 def one_minus_power(base: float, t: Node) -> Node:
     """1 - base^t of a float t >= 1 and 0 <= base < 1, to about 1e-6 relative in fp32.
 
-    base^t itself is 1 - 0.001 for base 0.999 at t = 1, where fp32 keeps only 4 digits of the difference. So the exponent x = t log(base)
-    comes from log(base) at compile time, and -expm1(x) is its series near 0: nine terms leave 0.5^9 / 10! there.
+    For base 0.999 and t = 1, fp32 keeps only four digits of the difference 0.001. So log(base) is taken at compile time, and
+    -expm1(x) of x = t log(base) is its series near 0: nine terms leave 0.5^9 / 10! at most. Further out nothing cancels.
     """
     if base == 0.0:
         return as_node(1.0)
@@ -66,7 +66,7 @@ def one_minus_power(base: float, t: Node) -> Node:
 
 @dataclass(frozen=True)
 class Sgd:
-    """p - rate d, where d is the gradient g; with momentum the buffer b = momentum b + g (g at step 0); with nesterov g + momentum b.
+    """p - rate d, where d is the gradient g; with momentum the buffer b = momentum b + g; with nesterov g + momentum b.
 
     rate: a number, a `Schedule` or its table. momentum in [0, 1). Raises InputError.
     """
@@ -112,7 +112,7 @@ class Adam:
         object.__setattr__(self, "betas", tuple(self.betas))
         for beta in self.betas:
             _fraction("betas", beta)
-        # Squares of gradients under 1e-19 are zero in fp32, and the step is then m / epsilon: a smaller epsilon would make it a leap.
+        # Squares of gradients under 1e-19 are zero in fp32, and the step is then m / epsilon: with a smaller one it would leap.
         if isinstance(self.epsilon, bool) or not isinstance(self.epsilon, (int, float)) or not 1e-15 <= self.epsilon < math.inf:
             raise InputError(f"epsilon is {self.epsilon!r}; at least 1e-15 is needed")
 

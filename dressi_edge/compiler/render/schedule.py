@@ -1,6 +1,6 @@
 """Numbers that change with the step: learning rates, radii, weights.
 
-In: numbers or a table of a job file. Out: a `Schedule`, whose node is a 1x1 float computed on the device from a step counter that lives there.
+In: a number or a table of a job file. Out: a `Schedule`, whose node is a 1x1 float computed on the device from a step counter.
 """
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Schedule:
     """A number as a function of the step t = 0, 1, ...; held at its last value from step `steps` on.
 
     kind: "constant" start; "exponential" start (end / start)^(t / steps); "linear"; "cosine" (half a wave from start to end);
-    "piecewise": values[k] where k is how many of the ascending steps `at` are <= t (one value more than `at`). `warmup`: the first
-    steps, in which the start is multiplied by (t + 1) / warmup; the rest counts from their end. Raises InputError.
+    "piecewise": values[k], k being how many of the ascending steps `at` are <= t (one value more than `at`). warmup: that many
+    steps come first, in which the start is multiplied by (t + 1) / warmup; t counts from their end. Raises InputError.
     """
 
     start: float = 0.0
@@ -55,8 +55,8 @@ class Schedule:
             self._set("at", tuple(_count("schedule at", t, 1) for t in self.at))
             self._set("values", tuple(_number("schedule values", v) for v in self.values))
             if len(self.values) != len(self.at) + 1 or any(a >= b for a, b in zip(self.at, self.at[1:])):
-                raise InputError(f"piecewise schedule: {len(self.values)} values for steps {list(self.at)}; ascending steps and one "
-                                 "value more are needed")
+                raise InputError(f"piecewise schedule: {len(self.values)} values for steps {list(self.at)}; ascending steps "
+                                 "and one value more are needed")
             self._set("start", self.values[0])
             return
         if self.at or self.values:
@@ -69,7 +69,7 @@ class Schedule:
         _count("schedule steps", self.steps, 1)
         self._set("end", _number("schedule end", self.end))
         if self.kind == "exponential" and not self.start * self.end > 0:
-            raise InputError(f"exponential schedule from {self.start} to {self.end}; two numbers of one sign, neither zero, are needed")
+            raise InputError(f"exponential schedule from {self.start} to {self.end}; numbers of one sign, not 0, are needed")
 
     def _set(self, name: str, value) -> None:
         object.__setattr__(self, name, value)
