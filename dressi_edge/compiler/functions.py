@@ -61,8 +61,10 @@ def length(a) -> Node:
 
 
 def normalize(a, epsilon: float = 1e-20) -> Node:
-    """a / |a|, zero (with bounded gradient) where |a|^2 is below epsilon."""
-    return a / sqrt(maximum(dot(a, a), epsilon))
+    """a / |a|; zero, with zero gradient, where |a|^2 is not above epsilon."""
+    squared = dot(a, a)
+    valid = squared > epsilon
+    return a * (select(valid, 1.0, 0.0) / sqrt(select(valid, squared, 1.0)))
 
 
 def mix(a, b, t) -> Node:

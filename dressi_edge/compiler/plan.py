@@ -16,7 +16,7 @@ from .ir import CHANNELS, Node, is_int
 from .optable import apply
 from .pack import Stage, pack
 from ..cache.layout import Layout
-from .program import Program, extent_of
+from .program import PlanSpec, Program, extent_of
 from .simplify import lower, simplify
 from .specialize import specialize
 
@@ -84,8 +84,11 @@ class Assembler:
     def assemble(self) -> dict:
         self.updated = {name for spec in self.program.plans for name in spec.updates}
         self.outputs: dict[str, int] = {}
+        groups: dict[tuple, list[PlanSpec]] = {}
         for spec in self.program.plans:
-            self._plan(spec)
+            groups.setdefault((spec.group, spec.dynamic), []).append(spec)
+        for specs in groups.values():
+            self._group(specs)
         values = []
         for name, value in self.program.values.items():
             role = self.program.roles[name]
@@ -105,17 +108,21 @@ class Assembler:
                 "passes": [_unfreeze(p) for p in self.passes], "pipelines": [_unfreeze(p) for p in self.pipelines],
                 "values": values, "plans": self.plans}
 
-    def _plan(self, spec) -> None:
-        names = [*spec.updates, *spec.outputs]
-        roots = simplify(lower(list(spec.updates.values()) + list(spec.outputs.values())))
+    def _group(self, specs: list[PlanSpec]) -> None:
+        """The plans of a group, after the one that computes what they share and nothing of theirs changes."""
+        rooted = [simplify(lower([*spec.updates.values(), *spec.outputs.values()])) for spec in specs]
         needs = []
         if self.cache:
-            roots, cached = specialize(roots, spec.dynamic, spec.name)
+            cached: dict[Node, Node] = {}
+            rooted = [specialize(roots, spec.dynamic, spec.group, cached) for spec, roots in zip(specs, rooted)]
             if cached:
-                targets = {node: self.leaf(apply("cached", name=name, vtype=node.vtype, extent=node.extent))
-                           for name, node in cached.items()}
-                self._run(f"{spec.name}.prepare", list(targets), [(image, 0) for image in targets.values()], [], [], 0)
+                self._run(f"{specs[0].group}.prepare", list(cached), [(self.leaf(x), 0) for x in cached.values()], [], [], 0)
                 needs = [len(self.plans) - 1]
+        for spec, roots in zip(specs, rooted):
+            self._plan(spec, roots, needs)
+
+    def _plan(self, spec: PlanSpec, roots: list[Node], needs: list[int]) -> None:
+        names = [*spec.updates, *spec.outputs]
         targets, distinct, seen = [], [], set()
         for name, root in zip(names, roots):
             if root.op.stage in ("leaf", "inline") or root in seen:

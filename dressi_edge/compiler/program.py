@@ -33,13 +33,15 @@ class Value:
 @dataclass(frozen=True)
 class PlanSpec:
     """One thing the session can run: the states it updates (by name) and the outputs it gives. `dynamic` names the leaves that change
-    between runs; what depends on none of them is computed once and kept. `phase` groups plans; `steps` is how often to run."""
+    between runs; what depends on none of them is computed once and kept, shared by the plans of a `group`; `steps` is how often to
+    run."""
 
     name: str
     updates: Mapping[str, Node]
     outputs: Mapping[str, Node]
     dynamic: frozenset[str]
     steps: int = 0
+    group: str = ""
 
 
 @dataclass
@@ -71,7 +73,7 @@ class Program:
         return self._leaf("state", name, layout, initial)
 
     def plan(self, name: str, updates: Mapping[str, Node] = {}, outputs: Mapping[str, tuple[Node, Layout]] = {},  # noqa: B006
-             dynamic: frozenset[str] | None = None, steps: int = 0) -> None:
+             dynamic: frozenset[str] | None = None, steps: int = 0, group: str = "") -> None:
         """Add a plan. `outputs`: name -> (node, layout). `dynamic` defaults to the updated states; None of a plan without updates
         means that everything may change."""
         for key, node in updates.items():
@@ -95,4 +97,5 @@ class Program:
         if dynamic is None:
             dynamic = frozenset(updates) or frozenset(
                 n.attrs["name"] for n in topological(roots) if n.op.name in ("input", "state"))
-        self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps))
+        self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps,
+                                   group or name))

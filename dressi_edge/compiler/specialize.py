@@ -13,8 +13,8 @@ from .optable import OWN, apply
 KEEP_COST = 12  # a clean value this cheap that fetches nothing is computed again
 
 
-def specialize(roots: Sequence[Node], dynamic: frozenset[str], prefix: str) -> tuple[list[Node], dict[str, Node]]:
-    """New roots and {cached name: clean node}."""
+def specialize(roots: Sequence[Node], dynamic: frozenset[str], prefix: str, cached: dict[Node, Node]) -> list[Node]:
+    """New roots. `cached` (clean node -> its cached leaf) is shared by the plans of a group, and grows."""
     order = topological(roots)
     dirty: set[Node] = set()
     cost: dict[Node, float] = {}
@@ -29,16 +29,15 @@ def specialize(roots: Sequence[Node], dynamic: frozenset[str], prefix: str) -> t
             cost[n] = n.op.cost + sum(cost[x] for x in n.inputs)
         else:
             cost[n] = float("inf") if n.inputs else n.op.cost
-    cached: dict[str, Node] = {}
     new: dict[Node, Node] = {}
 
     def keep(n: Node) -> Node:
         """n itself, rebuilt, or its cached leaf."""
         if n.op.stage in ("leaf", "inline") or cost.get(n, 0) <= KEEP_COST or new[n].op.name == "cached":
             return new[n]
-        name = f"{prefix}.cached{len(cached)}"
-        cached[name] = n
-        new[n] = apply("cached", name=name, vtype=n.vtype, extent=n.extent)
+        if n not in cached:
+            cached[n] = apply("cached", name=f"{prefix}.cached{len(cached)}", vtype=n.vtype, extent=n.extent)
+        new[n] = cached[n]
         return new[n]
 
     for n in order:
@@ -47,4 +46,4 @@ def specialize(roots: Sequence[Node], dynamic: frozenset[str], prefix: str) -> t
             new[n] = intern(n.op, inputs, n.attrs, n.vtype, n.extent)
         else:
             new[n] = n
-    return [new[r] if r in dirty else keep(r) for r in roots], cached
+    return [new[r] if r in dirty else keep(r) for r in roots]
