@@ -252,7 +252,7 @@ class Session:
             kind = np.int32 if is_int(value["type"]) else np.float32
             image = self._d["images"][value["image"]]
             pixels = np.frombuffer(self._read(value["image"]), kind).reshape(image["height"], image["width"], -1)
-            return np.ascontiguousarray(self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]))
+            return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).copy()
 
     def _refresh(self, name: str) -> None:
         index = self._d["values"].index(self.values[name])
