@@ -154,7 +154,8 @@ def _pass(where, p) -> None:
 
 
 def _pipeline(where, p, d) -> None:
-    _map(where, p, ("vertex", "fragment", "pass", "subpass", "bindings", "depth"))
+    _map(where, p, ("vertex", "fragment", "pass", "subpass", "bindings", "depth", "topology"))
+    _one_of(f"{where}.topology", p["topology"], tuple(v.TOPOLOGIES.values()))
     for key in ("vertex", "fragment"):
         _number(f"{where}.{key}", p[key], 0, len(d["shaders"]) - 1)
     _number(f"{where}.pass", p["pass"], 0, len(d["passes"]) - 1)

@@ -47,6 +47,7 @@ class DrawCode:
     cell: tuple[int, int, int] | None = None
     depth_range: tuple[float, float] = (0.0, 1.0)
     depth: bool = False
+    topology: str = "triangles"
 
 
 def _mark(text: str, names: dict) -> str:
@@ -201,5 +202,5 @@ def emit(stage: Substage, profile: Profile) -> tuple[list[DrawCode], list[Bindin
         body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
         factor, items = draw.vertices
         draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], attrs["views"],
-                              (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, True))
+                              (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, draw.depth_test, draw.topology))
     return draws, e.bindings

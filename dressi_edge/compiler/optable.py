@@ -29,7 +29,8 @@ class Loop:
 
 @dataclass(frozen=True)
 class Draw:
-    """One draw of a raster op, an instance a view: `vertices = (6, "face_count")` is six invocations a face; see `ops/raster.py`."""
+    """One draw of a raster op, an instance a view: `vertices = (6, "face_count")` is six invocations a face; see `ops/raster.py`.
+    `topology` is "triangles" or "points" (the vertex snippet then sets gl_PointSize). Without `depth_test` the last primitive wins."""
 
     vertex: str
     fragment: str
@@ -37,6 +38,8 @@ class Draw:
     vertices: tuple[int, str]
     depth_range: tuple[float, float] = (0.0, 1.0)
     writes_depth: bool = False
+    topology: str = "triangles"
+    depth_test: bool = True
 
 
 @dataclass(frozen=True)

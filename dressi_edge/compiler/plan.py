@@ -196,7 +196,7 @@ class Assembler:
             for ref in refs:
                 self.images[ref // 2]["usage"] |= v.USAGE_SAMPLED
             read_refs.update(refs)
-            if s.raster:
+            if any(d.depth for d in draws):
                 image = self._depth(stage)
                 attachments[2 * image] = {"format": 0, "load": v.LOAD_CLEAR, "store": v.STORE_DONT_CARE, "clear": 1}
                 depth = list(attachments).index(2 * image)
@@ -228,7 +228,8 @@ class Assembler:
             kinds.append((kind, (v.STAGE_VERTEX if b.vertex else 0) | (v.STAGE_FRAGMENT if b.fragment else 0), sampler))
         pipeline = self.pipelines.number(_freeze({
             "vertex": self.shaders.number(("vert", draw.vertex)), "fragment": self.shaders.number(("frag", draw.fragment)),
-            "pass": number, "subpass": subpass, "bindings": tuple(kinds), "depth": draw.depth}))
+            "pass": number, "subpass": subpass, "bindings": tuple(kinds), "depth": draw.depth,
+            "topology": v.TOPOLOGIES[draw.topology]}))
         if draw.cell:
             w, h, columns = draw.cell
             cells = [[k % columns * w, k // columns * h, w, h] for k in range(draw.views)]

@@ -68,7 +68,7 @@ class Pipelines:
                   for stage, key in ((v.STAGE_VERTEX, "vertex"), (v.STAGE_FRAGMENT, "fragment"))]
         info = vk.VkGraphicsPipelineCreateInfo(
             pStages=stages, pVertexInputState=vk.VkPipelineVertexInputStateCreateInfo(),
-            pInputAssemblyState=vk.VkPipelineInputAssemblyStateCreateInfo(topology=vk.VK_PRIMITIVE_TOPOLOGY_TRIANGLE_LIST),
+            pInputAssemblyState=vk.VkPipelineInputAssemblyStateCreateInfo(topology=p["topology"]),
             pViewportState=vk.VkPipelineViewportStateCreateInfo(viewportCount=1, scissorCount=1),
             pRasterizationState=vk.VkPipelineRasterizationStateCreateInfo(
                 polygonMode=vk.VK_POLYGON_MODE_FILL, cullMode=vk.VK_CULL_MODE_NONE, frontFace=vk.VK_FRONT_FACE_CLOCKWISE, lineWidth=1.0),
