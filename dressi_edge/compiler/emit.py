@@ -202,5 +202,6 @@ def emit(stage: Substage, profile: Profile) -> tuple[list[DrawCode], list[Bindin
         body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
         factor, items = draw.vertices
         draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], attrs["views"],
-                              (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, draw.depth_test, draw.topology))
+                              (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, draw.depth_test,
+                              draw.topology))
     return draws, e.bindings

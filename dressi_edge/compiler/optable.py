@@ -29,8 +29,10 @@ class Loop:
 
 @dataclass(frozen=True)
 class Draw:
-    """One draw of a raster op, an instance a view: `vertices = (6, "face_count")` is six invocations a face; see `ops/raster.py`.
-    `topology` is "triangles" or "points" (the vertex snippet then sets gl_PointSize). Without `depth_test` the last primitive wins."""
+    """One draw of a raster op, an instance a view: `vertices = (6, "face_count")` is six invocations a face: `ops/raster.py`.
+
+    `topology`: "triangles", or "points" (the vertex snippet sets gl_PointSize). Without `depth_test` the last primitive wins.
+    """
 
     vertex: str
     fragment: str
