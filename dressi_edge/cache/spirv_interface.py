@@ -1,0 +1,457 @@
+"""What a shader binds, takes and gives, read from its SPIR-V, and whether a bundle's pipelines offer exactly that.
+
+In: the bytes of the modules and a checked description. Out: an `Interface` for each shader, or a BundleError. Linear in bytes.
+
+Modules are held to what a player needs: SPIR-V 1.0, the opcodes, capabilities and storage classes of vertex and fragment
+shaders that touch nothing but descriptors, varyings and their own variables, every id within the bound, one entry point `main`.
+No more is promised: types inside functions and termination are not checked (spirv-val saw the module when it was compiled).
+Numbers are those of the SPIR-V specification, version 1.6, chapter 3.
+"""
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import dataclass, field
+
+from . import vulkan as v
+from .errors import BundleError
+
+MAGIC, VERSION = 0x07230203, 0x00010000
+MAX_LOCATIONS = 64  # more than any known device has
+HUGE = 1 << 20  # component counts stop here
+MODELS = {0: v.STAGE_VERTEX, 4: v.STAGE_FRAGMENT}
+STAGE_NAMES = {v.STAGE_VERTEX: "vertex", v.STAGE_FRAGMENT: "fragment"}
+KIND_NAMES = {v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER: "combined image sampler", v.DESCRIPTOR_SAMPLED_IMAGE: "sampled image",
+              v.DESCRIPTOR_INPUT_ATTACHMENT: "input attachment"}
+CAPABILITIES = frozenset({0, 1, 40, 50, 51})  # Matrix Shader InputAttachment ImageQuery DerivativeControl: need no feature
+MODES = frozenset({7, 9, 12, 14, 15, 16})  # OriginUpperLeft EarlyFragmentTests DepthReplacing -Greater -Less -Unchanged
+UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE, FUNCTION = 0, 1, 3, 6, 7
+FLAT, BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT = 14, 11, 30, 31, 32, 33, 34, 43
+_ONCE = frozenset({BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT})
+
+# opcode: how many of its first operands are ids; 9 stands for all. What is not here is refused.
+_ALL = 9
+BODY = dict.fromkeys((*range(109, 117), 124, *range(126, 153), *range(154, 192), *range(194, 206), *range(207, 216)), _ALL)
+BODY |= {1: 2, 8: 1, 12: 3, 54: 2, 55: 2, 56: 0, 57: _ALL, 59: 2, 61: 3, 62: 2, 63: 2, 65: _ALL, 66: _ALL, 79: 4, 80: _ALL,
+         81: 3, 82: 4, 83: 3, 84: 3, 86: 4, 87: 4, 88: 4, 91: 4, 92: 4, 95: 4, 96: 5, 98: 4, 100: 3, 103: 4, 104: 3, 105: 4,
+         106: 3, 245: _ALL, 246: 2, 247: 1, 248: 1, 249: 1, 250: 3, 251: 2, 252: 0, 253: 0, 254: 1, 255: 0, 317: 0}
+_IGNORED = frozenset({2, 3, 4, 5, 6, 7, 8, 317, 330})  # sources, names, lines
+_TYPED = {1: 2, 41: 2, 42: 2, 43: 2, 44: _ALL, 46: 2}  # undefined values and constants
+
+
+@dataclass(frozen=True)
+class Type:
+    """A type as far as an interface needs it. `kind`: float int uint image sampled struct pointer other; `components` of
+    scalars, vectors and what is built of them, 0 for what cannot be an interface variable."""
+
+    kind: str
+    components: int = 0
+    plain: bool = False  # a scalar or vector of 32 bits
+    pointee: int = 0
+    storage: int = -1
+    integer: bool = False  # of images: what a read gives
+    attachment: bool = False  # of images: a subpass input
+
+
+@dataclass(frozen=True)
+class Interface:
+    """`bindings`: number -> (descriptor kind, reads integers, input attachment index or -1). `inputs`, `outputs`: location ->
+    (float int uint, components). `input_components`, `output_components`: whole locations and the built-ins."""
+
+    stage: int
+    bindings: dict[int, tuple[int, bool, int]] = field(default_factory=dict)
+    inputs: dict[int, tuple[str, int]] = field(default_factory=dict)
+    outputs: dict[int, tuple[str, int]] = field(default_factory=dict)
+    input_components: int = 0
+    output_components: int = 0
+
+
+def parse(data: bytes, where: str = "shader") -> Interface:
+    """The interface of a module. Raises BundleError and nothing else."""
+    return _Module(data, where).interface()
+
+
+class _Module:
+    def __init__(self, data, where: str):
+        self.where, self.data = where, data
+        size = len(data)
+        if size % 4 or size < 20:
+            self.fail(f"{size} bytes are no SPIR-V module")
+        self.words = words = struct.unpack(f"<{size // 4}I", data)
+        if words[0] != MAGIC:
+            self.fail(f"begins with {words[0]:#010x}; SPIR-V begins with {MAGIC:#010x}")
+        if words[1] != VERSION:
+            self.fail(f"is SPIR-V version {words[1]:#x}; 1.0 ({VERSION:#x}) is allowed")
+        self.bound = words[3]
+        if not 0 < self.bound <= len(words):
+            self.fail(f"has ids up to {self.bound}; at most one a word, {len(words)}, is allowed")
+        if words[4]:
+            self.fail(f"has the reserved word {words[4]}; 0 is allowed")
+        self.types: dict[int, Type] = {}
+        self.constants: dict[int, int] = {}
+        self.defined: set[int] = set()
+        self.decorations: dict[int, dict[int, int]] = {}
+        self.builtin_blocks: set[int] = set()
+        self.variables: list[tuple[int, int, int]] = []  # id, storage class, pointee
+        self.modes: set[int] = set()
+        self.stage: int | None = None
+        self._functions(self._declarations())
+
+    def fail(self, what: str):
+        raise BundleError(f"{self.where}: {what}")
+
+    # ---- instructions
+
+    def _declarations(self) -> int:
+        """Everything before the first function; where that is."""
+        words, at, end = self.words, 5, len(self.words)
+        while at < end:
+            count, op = words[at] >> 16, words[at] & 0xFFFF
+            if not count or count > end - at:
+                self.fail(f"word {at}: an instruction of {count} words; {end - at} are left")
+            if op == 54:
+                return at
+            if op not in _IGNORED:
+                self._declaration(op, words[at + 1:at + count], at)
+            at += count
+        self.fail("has no function")
+
+    def _functions(self, at: int) -> None:
+        """Every instruction of the functions is known and its ids are within the bound."""
+        words, end = self.words, len(self.words)
+        start, n, seen, own = at, 0, set(), True
+        try:
+            while at < end:  # a few million words a second: the rest is done on `seen`, or at C's speed
+                word = words[at]
+                if word == 0x4003B and words[at + 3] != FUNCTION:
+                    own = False
+                at += word >> 16 or HUGE << 16
+                seen.add(word)
+                n += 1
+        except IndexError:
+            own = False
+        known = own and at == end and 0x5003B not in seen and all(
+            BODY.get(word & 0xFFFF, HUGE) < (word >> 16) or BODY.get(word & 0xFFFF) == _ALL for word in seen)
+        # if only the n instructions have a high half, and no low half (opcodes too) reaches the bound, then no operand does
+        halves = memoryview(self.data).cast("B").cast("H")[2 * start:].tolist()
+        high, low = halves[1::2], halves[::2]
+        if not known or sys.byteorder != "little" or len(high) - high.count(0) != n or max(low) >= self.bound:
+            self._each(start)
+
+    def _each(self, at: int) -> None:
+        """The same one by one: names what is wrong, and accepts literals beyond the bound."""
+        words, end, bound = self.words, len(self.words), self.bound
+        while at < end:
+            count, op = words[at] >> 16, words[at] & 0xFFFF
+            if not count or count > end - at:
+                self.fail(f"word {at}: an instruction of {count} words; {end - at} are left")
+            ids = BODY.get(op)
+            if ids is None:
+                self.fail(f"word {at}: opcode {op} is not allowed in a function")
+            if ids != _ALL and ids >= count:
+                self.fail(f"word {at}: opcode {op} has {count - 1} operands; {ids} are needed")
+            top = max(words[at + 1:at + (count if ids == _ALL else 1 + ids)], default=0)
+            if top >= bound:
+                self.fail(f"word {at}: id {top}; ids below {bound} are allowed")
+            if op == 59 and (count < 4 or words[at + 3] != FUNCTION):
+                self.fail(f"word {at}: a variable in a function that is not its own")
+            at += count
+
+    def _id(self, x: int, at: int) -> int:
+        if not 0 < x < self.bound:
+            self.fail(f"word {at}: id {x}; ids from 1 to {self.bound - 1} are allowed")
+        return x
+
+    def _define(self, x: int, at: int) -> int:
+        if self._id(x, at) in self.defined:
+            self.fail(f"word {at}: id {x} is defined twice")
+        self.defined.add(x)
+        return x
+
+    def _type(self, x: int, at: int) -> Type:
+        if x not in self.types:
+            self.fail(f"word {at}: id {x} is no type defined before")
+        return self.types[x]
+
+    def _operands(self, ops: tuple, least: int, at: int) -> None:
+        if len(ops) < least:
+            self.fail(f"word {at}: opcode {self.words[at] & 0xFFFF} has {len(ops)} operands; {least} are needed")
+
+    def _declaration(self, op: int, ops: tuple, at: int) -> None:
+        if 19 <= op <= 33:
+            self._operands(ops, 1, at)
+            self.types[self._define(ops[0], at)] = self._new_type(op, ops, at)
+        elif op in _TYPED:
+            self._operands(ops, 3 if op == 43 else 2, at)
+            self._type(ops[0], at)
+            for x in ops[1:] if _TYPED[op] == _ALL else ops[1:2]:
+                self._id(x, at)
+            self._define(ops[1], at)
+            if op == 43:
+                self.constants[ops[1]] = ops[2]
+        elif op == 59:
+            self._variable(ops, at)
+        elif op == 71 or op == 72:
+            self._decoration(op, ops, at)
+        elif op == 17:
+            self._operands(ops, 1, at)
+            if ops[0] not in CAPABILITIES:
+                self.fail(f"word {at}: capability {ops[0]} is not allowed")
+        elif op == 11:
+            self._operands(ops, 2, at)
+            self._define(ops[0], at)
+            if self._text(ops[1:]) != b"GLSL.std.450":
+                self.fail(f"word {at}: only the instructions of GLSL.std.450 are allowed")
+        elif op == 14:
+            if ops != (0, 1):
+                self.fail(f"word {at}: the memory model must be Logical GLSL450")
+        elif op == 15:
+            self._entry(ops, at)
+        elif op == 16:
+            self._operands(ops, 2, at)
+            self._id(ops[0], at)
+            if ops[1] not in MODES:
+                self.fail(f"word {at}: execution mode {ops[1]} is not allowed")
+            self.modes.add(ops[1])
+        else:
+            self.fail(f"word {at}: opcode {op} is not allowed before the functions")
+
+    @staticmethod
+    def _text(words: tuple) -> bytes:
+        return struct.pack(f"<{len(words)}I", *words).partition(b"\0")[0]
+
+    def _entry(self, ops: tuple, at: int) -> None:
+        self._operands(ops, 3, at)
+        if self.stage is not None:
+            self.fail(f"word {at}: a second entry point")
+        if ops[0] not in MODELS:
+            self.fail(f"word {at}: execution model {ops[0]}; vertex (0) and fragment (4) are allowed")
+        if ops[2:4] != struct.unpack("<2I", b"main\0\0\0\0"):
+            self.fail(f"word {at}: the entry point must be called main")
+        for x in (ops[1], *ops[4:]):
+            self._id(x, at)
+        self.stage = MODELS[ops[0]]
+
+    def _new_type(self, op: int, ops: tuple, at: int) -> Type:
+        def need(least: int) -> None:
+            self._operands(ops, least, at)
+
+        if op == 21:
+            need(3)
+            return Type("int" if ops[2] else "uint", 1, ops[1] == 32)
+        if op == 22:
+            need(2)
+            return Type("float", 1, ops[1] == 32)
+        if op == 23:
+            need(3)
+            x = self._type(ops[1], at)
+            return Type(x.kind, min(HUGE, x.components * ops[2]), x.plain and x.components == 1 and 2 <= ops[2] <= 4)
+        if op == 24 or op == 28:
+            need(3)
+            x = self._type(ops[1], at)
+            length = ops[2] if op == 24 else self.constants.get(ops[2], 0)
+            return Type("other", min(HUGE, x.components * length))
+        if op == 25:
+            return self._image(ops, at)
+        if op == 27:
+            need(2)
+            x = self._type(ops[1], at)
+            if x.kind != "image" or x.attachment:
+                self.fail(f"word {at}: a combined sampler of what is no sampled image")
+            return Type("sampled", integer=x.integer)
+        if op == 30:
+            return Type("struct", min(HUGE, sum(self._type(x, at).components for x in ops[1:])))
+        if op == 32:
+            need(3)
+            self._type(ops[2], at)
+            return Type("pointer", pointee=ops[2], storage=ops[1])
+        if op == 33:
+            need(2)
+            for x in ops[1:]:
+                self._type(x, at)
+            return Type("other")
+        if op in (19, 20):
+            return Type("other")
+        self.fail(f"word {at}: opcode {op} makes a type that is not allowed")
+
+    def _image(self, ops: tuple, at: int) -> Type:
+        self._operands(ops, 8, at)
+        x = self._type(ops[1], at)
+        _, _, dim, depth, arrayed, multisampled, sampled, image_format = ops[:8]
+        if not x.plain or x.components != 1 or x.kind == "uint":
+            self.fail(f"word {at}: an image of what is neither float nor int")
+        if (dim, sampled) not in ((1, 1), (6, 2)) or depth == 1 or arrayed or multisampled or image_format:
+            self.fail(f"word {at}: an image that is neither sampled 2D nor subpass input")
+        return Type("image", integer=x.kind == "int", attachment=dim == 6)
+
+    def _variable(self, ops: tuple, at: int) -> None:
+        self._operands(ops, 3, at)
+        pointer = self._type(ops[0], at)
+        if pointer.kind != "pointer" or pointer.storage != ops[2]:
+            self.fail(f"word {at}: a variable whose type is no pointer to its storage class")
+        if ops[2] not in (UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE):
+            self.fail(f"word {at}: a variable of storage class {ops[2]}; images, inputs, outputs and private ones are allowed")
+        for x in ops[3:]:
+            self._id(x, at)
+        self.variables.append((self._define(ops[1], at), ops[2], pointer.pointee))
+
+    def _decoration(self, op: int, ops: tuple, at: int) -> None:
+        member = op == 72
+        self._operands(ops, 2 + member, at)
+        self._id(ops[0], at)
+        kind, rest = ops[1 + member], ops[2 + member:]
+        if member:
+            if kind == BUILTIN:
+                self.builtin_blocks.add(ops[0])
+            elif kind in _ONCE:
+                self.fail(f"word {at}: decoration {kind} of a member is not allowed")
+            return
+        mine = self.decorations.setdefault(ops[0], {})
+        if kind in _ONCE:
+            self._operands(rest, 1, at)
+            if kind in mine or kind in (COMPONENT, INDEX):
+                self.fail(f"word {at}: decoration {kind} {'twice' if kind in mine else 'is not allowed'}")
+        mine[kind] = rest[0] if rest else 1
+
+    # ---- what it means
+
+    def interface(self) -> Interface:
+        stage = self.stage
+        if stage is None:
+            self.fail("has no entry point")
+        if stage == v.STAGE_FRAGMENT and 7 not in self.modes:
+            self.fail("is a fragment shader without OriginUpperLeft")
+        bindings: dict[int, tuple[int, bool, int]] = {}
+        sides: dict[int, dict[int, tuple[str, int]]] = {INPUT: {}, OUTPUT: {}}
+        extra = {INPUT: 0, OUTPUT: 0}
+        for x, storage, pointee in self.variables:
+            marks, kind = self.decorations.get(x, {}), self.types[pointee]
+            if storage == UNIFORM_CONSTANT:
+                self._bind(x, marks, kind, stage, bindings)
+            elif storage in sides:
+                if BUILTIN in marks or kind.kind == "struct" and pointee in self.builtin_blocks:
+                    extra[storage] += kind.components
+                else:
+                    self._locate(x, marks, kind, sides[storage], flat=stage == v.STAGE_FRAGMENT and storage == INPUT)
+        if stage == v.STAGE_VERTEX and sides[INPUT]:
+            self.fail("takes vertex attributes; a bundle has none")
+        count = {side: 4 * (max(sides[side], default=-1) + 1) + extra[side] for side in sides}
+        return Interface(stage, bindings, sides[INPUT], sides[OUTPUT], count[INPUT], count[OUTPUT])
+
+    def _bind(self, x: int, marks: dict, kind: Type, stage: int, bindings: dict) -> None:
+        if kind.kind not in ("image", "sampled"):
+            self.fail(f"id {x}: a descriptor that is neither image nor combined sampler")
+        if marks.get(SET) != 0 or BINDING not in marks:
+            self.fail(f"id {x}: a descriptor needs set 0 and a binding")
+        number = marks[BINDING]
+        if number in bindings:
+            self.fail(f"binding {number} is declared twice")
+        if kind.attachment and (stage != v.STAGE_FRAGMENT or ATTACHMENT not in marks):
+            self.fail(f"binding {number}: an input attachment needs an index, in a fragment shader")
+        what = (v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER if kind.kind == "sampled" else
+                v.DESCRIPTOR_INPUT_ATTACHMENT if kind.attachment else v.DESCRIPTOR_SAMPLED_IMAGE)
+        bindings[number] = what, kind.integer, marks[ATTACHMENT] if kind.attachment else -1
+
+    def _locate(self, x: int, marks: dict, kind: Type, side: dict, flat: bool) -> None:
+        at = marks.get(LOCATION)
+        if at is None or at >= MAX_LOCATIONS:
+            self.fail(f"id {x}: an input or output at location {at}; 0 to {MAX_LOCATIONS - 1} are allowed")
+        if at in side:
+            self.fail(f"location {at} is declared twice")
+        if not kind.plain:
+            self.fail(f"location {at}: a scalar or vector of 32 bits is needed")
+        if flat and kind.kind != "float" and FLAT not in marks:
+            self.fail(f"location {at}: integers need Flat")
+        side[at] = kind.kind, kind.components
+
+
+# ---- the pipelines --------------------------------------------------------------------------------------------------------
+
+def check_shaders(d: dict, blob) -> list[Interface]:
+    """The interface of each shader of a checked description; `blob(k)` gives bytes. Raises BundleError where a module is
+    malformed, or a pipeline, its pass or its draws do not offer what the shaders declare."""
+    parsed: dict[int, Interface] = {}
+    interfaces = []
+    for k, number in enumerate(d["shaders"]):
+        if number not in parsed:
+            parsed[number] = parse(blob(number), f"shaders[{k}]")
+        interfaces.append(parsed[number])
+    integer: list[list[bool | None]] = []
+    for k, p in enumerate(d["pipelines"]):
+        integer.append(_check_pipeline(f"pipelines[{k}]", p, d, interfaces))
+    for n, plan in enumerate(d["plans"]):
+        for k, stage in enumerate(plan["stages"]):
+            for j, draws in enumerate(stage["subpasses"]):
+                attached = [stage["attachments"][a] for a in d["passes"][stage["pass"]]["subpasses"][j]["inputs"]]
+                for i, draw in enumerate(draws):
+                    where = f"plans[{n}].stages[{k}].subpasses[{j}][{i}]"
+                    _check_draw(where, draw, attached, d, interfaces, integer[draw["pipeline"]])
+    return interfaces
+
+
+def _check_pipeline(where: str, p: dict, d: dict, interfaces: list[Interface]) -> list[bool | None]:
+    """For each binding whether the shaders read integers from it (None: no shader uses it)."""
+    vertex, fragment = interfaces[p["vertex"]], interfaces[p["fragment"]]
+    layout = d["passes"][p["pass"]]
+    subpass = layout["subpasses"][p["subpass"]]
+    integer: list[bool | None] = [None] * len(p["bindings"])
+    for key, shader, stage in (("vertex", vertex, v.STAGE_VERTEX), ("fragment", fragment, v.STAGE_FRAGMENT)):
+        if shader.stage != stage:
+            raise BundleError(f"{where}.{key}: shader {p[key]} is for the {STAGE_NAMES[shader.stage]} stage")
+        if len(shader.bindings) > len(p["bindings"]):
+            raise BundleError(f"{where}.{key}: the shader uses {len(shader.bindings)} bindings; the pipeline has "
+                              f"{len(p['bindings'])}")
+        for number, (kind, is_integer, index) in shader.bindings.items():
+            if number >= len(p["bindings"]):
+                raise BundleError(f"{where}.{key}: the shader uses binding {number}; the pipeline has {len(p['bindings'])}")
+            found, stages, _ = p["bindings"][number]
+            if found != kind:
+                raise BundleError(f"{where}.bindings[{number}] is a {KIND_NAMES[found]}; the {key} shader uses a "
+                                  f"{KIND_NAMES[kind]}")
+            if not stages & stage:
+                raise BundleError(f"{where}.bindings[{number}] is not visible to the {key} shader, which uses it")
+            if index >= len(subpass["inputs"]):
+                raise BundleError(f"{where}.bindings[{number}]: input attachment {index}; the subpass has "
+                                  f"{len(subpass['inputs'])}")
+            if integer[number] not in (None, is_integer):
+                raise BundleError(f"{where}.bindings[{number}]: one shader reads integers, the other floats")
+            integer[number] = is_integer
+    for number, (kind, stages, _) in enumerate(p["bindings"]):
+        if kind == v.DESCRIPTOR_INPUT_ATTACHMENT and (stages != v.STAGE_FRAGMENT or number not in fragment.bindings):
+            raise BundleError(f"{where}.bindings[{number}]: an input attachment belongs to the fragment shader, which must use "
+                              "it")
+    _check_outputs(where, fragment, [layout["attachments"][a]["format"] for a in subpass["colors"]])
+    for location, wanted in fragment.inputs.items():
+        given = vertex.outputs.get(location)
+        if given != wanted:
+            raise BundleError(f"{where}: the fragment shader takes {_words(wanted)} at location {location}; the vertex shader "
+                              f"gives {_words(given)}")
+    return integer
+
+
+def _words(x) -> str:
+    return f"{x[0]} x {x[1]}" if x else "nothing"
+
+
+def _check_outputs(where: str, fragment: Interface, formats: list[int]) -> None:
+    if len(fragment.outputs) != len(formats):
+        raise BundleError(f"{where}: the fragment shader gives {len(fragment.outputs)} outputs; the subpass has {len(formats)} "
+                          "colours")
+    for location, image_format in enumerate(formats):
+        wanted = "int" if image_format in v.INTEGER_FORMATS else "float", v.FORMAT_CHANNELS[image_format]
+        given = fragment.outputs.get(location)
+        if given is None or given[0] != wanted[0] or given[1] < wanted[1]:
+            raise BundleError(f"{where}: colour {location} needs {_words(wanted)}; the fragment shader gives {_words(given)}")
+
+
+def _check_draw(where: str, draw: dict, attached: list[int], d: dict, interfaces, integer) -> None:
+    p = d["pipelines"][draw["pipeline"]]
+    shader = interfaces[p["fragment"]]
+    for k, (ref, binding, wanted) in enumerate(zip(draw["images"], p["bindings"], integer)):
+        at, image_format = f"{where}.images[{k}]: image {ref // 2}", d["images"][ref // 2]["format"]
+        if image_format == 0 or wanted is not None and wanted != (image_format in v.INTEGER_FORMATS):
+            raise BundleError(f"{at} has format {image_format}; the shader reads {'integers' if wanted else 'floats'}")
+        if binding[0] == v.DESCRIPTOR_INPUT_ATTACHMENT and ref != attached[shader.bindings[k][2]]:
+            raise BundleError(f"{at} is not input attachment {shader.bindings[k][2]} of the subpass")
+        if binding[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER and image_format in v.INTEGER_FORMATS:
+            raise BundleError(f"{at} holds integers, which no sampler filters")
