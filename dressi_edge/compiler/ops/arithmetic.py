@@ -39,9 +39,9 @@ op("idiv", "a b", infer=elementwise, ref=lambda a, b: a // b, glsl="{y} = {a} / 
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(1, 9, (4, 5, 1))], {}), doc="Of non-negative integers.")
 op("imod", "a b", infer=elementwise, ref=lambda a, b: a % b, glsl="{y} = {a} % {b};", cost=4,
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(1, 9, (4, 5, 1))], {}), doc="Of non-negative integers.")
-op("shift_left", "a b", infer=elementwise, ref=np.left_shift, glsl="{y} = {a} << {b};",
+op("shift_left", "a b", infer=elementwise, ref=np.left_shift, glsl="{y} = {type}({a}) << {b};",
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
-op("shift_right", "a b", infer=elementwise, ref=np.right_shift, glsl="{y} = {a} >> {b};",
+op("shift_right", "a b", infer=elementwise, ref=np.right_shift, glsl="{y} = {type}({a}) >> {b};",
    sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
 op("bit_and", "a b", infer=elementwise, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
