@@ -5,18 +5,20 @@ specification requires ("Required Limits" and the mandatory format tables): unkn
 a profile, the runtime compares one with the device at hand; standard library only, for both import it.
 """
 
-import difflib
+from __future__ import annotations
+
 import hashlib
-import importlib.resources
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from dressi_edge.cache.errors import ProfileError
+
+if TYPE_CHECKING:  # files, JSON and suggestions are imported where they are used: a session makes do without
+    from pathlib import Path
 
 SCHEMA = "https://schema.khronos.org/vulkan/profiles-0.8-latest.json#"
 MAX_FILE_BYTES = 1 << 20
@@ -159,19 +161,21 @@ class Profile:
         return hash((self.name, self.digest))
 
     @classmethod
-    def load(cls, name_or_path: str | Path) -> "Profile":
+    def load(cls, name_or_path: str | Path) -> Profile:
         """The profile of that name (`profile_names()`) or in that .json file. ProfileError if unknown or malformed."""
         text = str(name_or_path)
         if text.endswith(".json") or "/" in text or "\\" in text:
+            from pathlib import Path
+
             return _parse(_read(Path(text), text), text)
         if text not in (names := profile_names()):
-            near = difflib.get_close_matches(text, names, 1, 0.4)
+            near = _close(text, names, 0.4)
             hint = f"did you mean {near[0]}? " if near else ""
             raise ProfileError(f"profile {text[:80]!r} is unknown; {hint}known: {' '.join(names)}")
         return _parse(_read(folder() / f"{text}.json", f"{text}.json"), f"{text}.json")
 
     @classmethod
-    def loads(cls, data: bytes | str, where: str = "profile") -> "Profile":
+    def loads(cls, data: bytes | str, where: str = "profile") -> Profile:
         """The profile in this JSON text; `where` names it in errors."""
         return _parse(data.encode() if isinstance(data, str) else data, where)
 
@@ -224,6 +228,8 @@ class Profile:
     @property
     def digest(self) -> str:
         """SHA-256 of `canonical(self)`, hexadecimal: equal for profiles that the packer cannot tell apart."""
+        import json
+
         text = json.dumps(canonical(self), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -232,6 +238,9 @@ class Profile:
 
 def folder():
     """Where the profiles are: the package data dressi_edge.device_profiles, or device_profiles/ of the checkout."""
+    import importlib.resources
+    from pathlib import Path
+
     try:
         found = importlib.resources.files("dressi_edge.device_profiles")
         if any(f.name.endswith(".json") for f in found.iterdir()):
@@ -261,6 +270,8 @@ def _read(path, where: str) -> bytes:
 
 
 def _decode(data: bytes, where: str) -> dict:
+    import json
+
     def unique(pairs):
         if len(out := dict(pairs)) < len(pairs):
             keys = [k for k, _ in pairs]
@@ -282,8 +293,14 @@ def _show(value) -> str:
     return (text := repr(value))[:60] + ("..." if len(text) > 60 else "")
 
 
+def _close(name: str, known: Iterable[str], cutoff: float) -> list[str]:
+    import difflib
+
+    return difflib.get_close_matches(name, list(known), 1, cutoff)
+
+
 def _nearest(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(str(name)[:80], list(known), 1, 0.5)
+    near = _close(str(name)[:80], known, 0.5)
     return f"did you mean {near[0]}?" if near else f"known: {' '.join(known)}"
 
 
@@ -413,6 +430,8 @@ def _profile_key(name: str) -> str:
 
 def to_json(profile: Profile) -> str:
     """The file of a profile: sorted, two spaces, one newline at the end. Loading and writing it again gives the same bytes."""
+    import json
+
     structs = {}
     for name, on in profile.features.items():
         structs.setdefault(FEATURES[name], {})[name] = on

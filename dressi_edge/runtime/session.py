@@ -15,6 +15,7 @@ from ..cache.profile import from_device, misfit
 from . import vk
 from .device import Device
 from .memory import Images, Staging, image_bytes, region
+from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
 from .record import Recording, wait
 
@@ -49,7 +50,7 @@ class Session:
         self._d = bundle.description
         self._lock = threading.RLock()
         self._closed = False
-        self._images = self._pipelines = self._staging = None
+        self._images = self._pipelines = self._staging = self._store = None
         self._pool = self._fence = 0
         self._recordings: dict[tuple, Recording] = {}
         self._check_device()
@@ -99,7 +100,9 @@ class Session:
         self._fence = vk.CreateFence(device, vk.VkFenceCreateInfo())
         self._staging = Staging(self.device)
         self._images = Images(self.device, self._d["images"], self._depth_format)
-        self._pipelines = Pipelines(self.device, self.bundle, self._depth_format)
+        self._store = PipelineStore(self.device, self.bundle.digest)
+        self._pipelines = Pipelines(self.device, self.bundle, self._depth_format, self._store.handle)
+        self._store.keep()
         uploads = [(k, self.bundle.blob(image["data"])) for k, image in enumerate(self._d["images"]) if image["data"] is not None]
         uploads += [(value["image"], self.bundle.blob(value["initial"])) for value in self._d["values"] if value["initial"] is not None]
         self._fill(uploads)
@@ -190,7 +193,7 @@ class Session:
         if device:
             for recording in self._recordings.values():
                 recording.close()
-            for part in (self._pipelines, self._images, self._staging):
+            for part in (self._pipelines, self._store, self._images, self._staging):
                 if part is not None:
                     part.close()
             if self._fence:
@@ -301,6 +304,8 @@ class Session:
             pair.append(self._recording(plan).commands)
             self._flip(states)
         self._submit((pair * n)[:n])
+        if not self._runs[plan["name"]]:
+            self._store.keep()
         if n % 2:
             self._flip(states)
         for value in states:
@@ -364,4 +369,5 @@ class Session:
         """What ran how often, and what the session occupies."""
         return {"device": self.device.name, "driver": self.device.driver_info, "profile": self._d["profile"]["name"],
                 "runs": dict(self._runs), "image_bytes": self._images.bytes, "pipelines": len(self._d["pipelines"]),
+                "pipeline_cache": self._store.state,
                 "time": time.time()}
