@@ -11,7 +11,7 @@ import functools
 import numpy as np
 
 from ...cache.errors import GraphError
-from ..ir import UNIT, Data, Extent, Node, table
+from ..ir import UNIT, Data, Extent, Node, image, table
 from ..optable import Loop, apply, at, op
 
 MAX_ROW = 64  # longer rows are summed in two levels, to keep every lane busy
@@ -178,7 +178,7 @@ def _boxed_sample(rng):
     return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
 
 
-def _segment_ref(values, index, box):
+def _segment_ref(values, index, box, occupied):
     out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
     ys, xs = np.nonzero(index[..., 0] >= 0)
     entry = index[ys, xs, 0]
@@ -189,15 +189,35 @@ def _segment_ref(values, index, box):
 
 
 op("lookup_boxed", "entries index box", infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8, glsl=_LOOKUP,
-   vjp=lambda g, y, entries, index, box: (apply("segment_sum", g, index, box), None, None), sample=_boxed_sample,
+   vjp=lambda g, y, entries, index, box: (apply("segment_sum", g, index, box, apply("occupied", index)), None, None),
+   sample=_boxed_sample,
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
-op("segment_sum", "values index box", infer=at(2), reads="texel texel own", ref=_segment_ref, cost=200,
-   vjp=lambda g, y, values, index, box: (apply("lookup_boxed", g, index, box), None, None),
-   loop=Loop("for (int b_ = {box}.y; b_ < {box}.w; ++b_) for (int a_ = {box}.x; a_ < {box}.z; ++a_) "
-             "if ({index}(ivec2(a_, b_)) == {i}) {", "{y} += {values}(ivec2(a_, b_));"),
+TILE = 8  # pixels a side of an occupancy tile
+
+
+def _occupied_ref(index):
+    h, w, _ = index.shape
+    padded = np.full((-(-h // TILE) * TILE, -(-w // TILE) * TILE), -1)
+    padded[:h, :w] = index[..., 0]
+    return (padded.reshape(padded.shape[0] // TILE, TILE, -1, TILE).max((1, 3)) >= 0).astype(np.int64)[..., None]
+
+
+op("occupied", "index", infer=lambda name, inputs, attrs: ("int", image(-(-inputs[0].extent.width // TILE), -(-inputs[0].extent.height // TILE))),
+   reads="texel", ref=_occupied_ref, cost=64,
+   glsl=f"""{{ ivec2 lo_ = {{p}} * {TILE}, hi_ = min(lo_ + {TILE}, ivec2({{index_w}}, {{index_h}}));
+    int best_ = -1;
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {{index}}(ivec2(a_, b_)));
+    {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {}),
+   doc="1 for each tile of 8 x 8 pixels in which some index is not negative.")
+op("segment_sum", "values index box occupied", infer=at(2), reads="texel texel own texel", ref=_segment_ref, cost=200,
+   vjp=lambda g, y, values, index, box, occupied: (apply("lookup_boxed", g, index, box), None, None, None),
+   loop=Loop(f"for (int d_ = {{box}}.y / {TILE}; d_ * {TILE} < {{box}}.w; ++d_) for (int c_ = {{box}}.x / {TILE}; c_ * {TILE} < {{box}}.z; ++c_) "
+             f"if ({{occupied}}(ivec2(c_, d_)) != 0) {{ ivec2 lo_ = max(ivec2(c_, d_) * {TILE}, {{box}}.xy), hi_ = min(ivec2(c_, d_) * {TILE} + {TILE}, {{box}}.zw);\n"
+             "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) "
+             "if ({index}(ivec2(a_, b_)) == {i}) {", "{y} += {values}(ivec2(a_, b_));", "} }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
-                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1)))], {}),
-   doc="Transpose of lookup_boxed: for each entry the sum over its box of the pixels that name it, in row-major order.")
+                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
+   doc="Transpose of lookup_boxed: for each entry the sum, over the occupied tiles of its box, of the pixels that name it.")
 
 op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,
    ref=lambda source, xy: source[np.clip(xy[..., 1], 0, source.shape[0] - 1), np.clip(xy[..., 0], 0, source.shape[1] - 1)],

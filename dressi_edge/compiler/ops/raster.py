@@ -142,17 +142,9 @@ code = 2 * (view * {face_count} + f) + 1;
 """
 _FOLD = _PROLOGUE + """
 int edge = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
-ivec4 v = {edges_at}(edge);
-ivec2 sides = {edge_faces_at}(edge);
-vec3 a = {clip_at}(view * {vertices} + v.x).xyw * half_cell, b = {clip_at}(view * {vertices} + v.y).xyw * half_cell;
-bool fold = v.w < 0;
-if (!fold) {
-    vec3 n = cross(a, b);
-    fold = dot(n, {clip_at}(view * {vertices} + v.z).xyw * half_cell) * dot(n, {clip_at}(view * {vertices} + v.w).xyw * half_cell) >= 0.0;
-}
-code = 2 * (view * {face_count} + sides.x);
-segment = clip_segment(a, b, {near});
-if (fold && segment.x < 1e8) {
+segment = {folds_at}(view * {edge_count} + edge);
+if (segment.x < 1e8) {
+    code = 2 * (view * {face_count} + {edge_faces_at}(edge).x);
     float reach = float({radius}) + 0.02;
     vec2 d = segment.zw - segment.xy;
     float l = length(d);
@@ -168,13 +160,25 @@ if (d > float({radius})) discard;
 gl_FragDepth = 0.5 + 0.4999 * d / float({radius});
 {y} = code;
 """
-op("rasterize_folds", "clip faces edges edge_faces", infer=_code(1), reads="vertex vertex vertex vertex", stage="raster",
+op("rasterize_folds", "clip faces folds edge_faces", infer=_code(1), reads="vertex vertex vertex vertex", stage="raster",
    functions=FUNCTIONS, ref=reference.rasterize_folds, cost=300,
    draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count"),
                depth_range=(0.0, 0.5)),
           Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(6, "edge_count"),
                writes_depth=True)),
    doc="First layer: hard faces, then the enlarged fold and boundary edges; equal to `rasterize`.")
+
+op("fold_segments", "segments clip edges", infer=lambda name, inputs, attrs: ("vec4", inputs[0].extent), reads="own texel texel",
+   ref=reference.fold_segments, cost=40,
+   glsl="""{y} = {segments};
+if ({y}.x < 1e8) {
+    int view_ = {i} / {edge_count};
+    ivec4 v_ = {edges_at}({i} - view_ * {edge_count});
+    if (v_.w >= 0) {
+        vec3 n_ = cross({clip_at}(view_ * {vertices} + v_.x).xyw, {clip_at}(view_ * {vertices} + v_.y).xyw);
+        if (dot(n_, {clip_at}(view_ * {vertices} + v_.z).xyw) * dot(n_, {clip_at}(view_ * {vertices} + v_.w).xyw) < 0.0) {y} = vec4(1e9);
+    }
+}""", doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen; 1e9 for all others.")
 
 op("nearest_edge", "code face_edges segments position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
    reads="own texel texel own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,

@@ -75,8 +75,19 @@ def rasterize(clip, faces, **attrs):
     return _layer(None, clip, faces, **attrs)[0][..., None]
 
 
-def rasterize_folds(clip, faces, edges, edge_faces, edge_count, **attrs):
+def rasterize_folds(clip, faces, folds, edge_faces, edge_count, **attrs):
     return rasterize(clip, faces, **attrs)
+
+
+def fold_segments(segments, clip, edges, edge_count, vertices):
+    h = clip.reshape(-1, 4)[:, [0, 1, 3]]
+    i = np.arange(segments.shape[0] * segments.shape[1])
+    view = np.minimum(i // edge_count, len(h) // vertices - 1)
+    v = edges.reshape(-1, 4)[i - i // edge_count * edge_count]
+    n = np.cross(h[view * vertices + v[:, 0]], h[view * vertices + v[:, 1]])
+    sides = [(n * h[view * vertices + np.maximum(v[:, k], 0)]).sum(1) for k in (2, 3)]
+    inner = (v[:, 3] >= 0) & (sides[0] * sides[1] < 0)
+    return np.where(inner[:, None], 1e9, segments.reshape(-1, 4)).reshape(segments.shape)
 
 
 def _with_depth(code, depth):

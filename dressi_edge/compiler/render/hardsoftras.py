@@ -89,13 +89,13 @@ def _segments(clip: Node, topology: Topology, atlas: Atlas, near: float) -> Node
 
 
 def _boxes(low: Node, high: Node, exists: Node, reach: float, per_view: int, atlas: Atlas) -> Node:
-    """Half-open pixel boxes of the atlas around screen bounds, `reach` pixels wider; empty where nothing exists."""
+    """Half-open boxes of the atlas' pixels whose centres are within `reach` of screen bounds; empty where nothing exists."""
     half = compose(atlas.width / 2, atlas.height / 2)
     limit = compose(float(atlas.width), float(atlas.height))
     view = apply("idiv", apply("texel_index", extent=low.extent), per_view)
     origin = compose(apply("imod", view, atlas.columns) * atlas.width, apply("idiv", view, atlas.columns) * atlas.height)
-    lo = to_int(clamp(low + half - reach, 0.0, limit))
-    hi = to_int(clamp(high + half + (reach + 1.0), 0.0, limit))
+    lo = to_int(clamp(low + half - (reach - 0.5), 0.0, limit))
+    hi = to_int(clamp(high + half + (reach + 0.5), 0.0, limit))
     box = compose(lo + origin, hi + origin)
     return select(exists, box, 0)
 
@@ -120,7 +120,7 @@ class Layers:
         self.position = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
         self.segments = _segments(clip, topology, atlas, near)
         s = stop_gradient(self.segments)
-        reach = max(softness.r, math.sqrt(2) * softness.reach) + 1.0
+        reach = max(softness.r, math.sqrt(2) * softness.reach) + 0.05
         self.edge_boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, len(topology.edges), atlas)
         codes = self._codes()
         window = {"cell_w": atlas.width, "cell_h": atlas.height}
@@ -135,8 +135,9 @@ class Layers:
         attrs = {"extent": a.extent, "cell_w": a.width, "cell_h": a.height, "columns": a.columns, "views": a.views,
                  "vertices": t.vertex_count, "face_count": len(t.faces), "radius": float(self.softness.r), "near": float(self.near)}
         if k == 1 and self.softness.folds:
-            return [apply("rasterize_folds", self.clip, faces, constant_table(t.edge_vertices), constant_table(t.edge_faces),
-                          edge_count=len(t.edges), **attrs)]
+            folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(self.clip), constant_table(t.edge_vertices),
+                          edge_count=len(t.edges), vertices=t.vertex_count)
+            return [apply("rasterize_folds", self.clip, faces, folds, constant_table(t.edge_faces), edge_count=len(t.edges), **attrs)]
         if k == 1:
             return [apply("rasterize", self.clip, faces, **attrs)]
         codes = [apply("rasterize_first", self.clip, faces, **attrs)]
@@ -193,7 +194,7 @@ class Layers:
         low = [select(s.x < 1e8, minimum(s.xy, s.zw), 1e9) for s in rows]
         high = [select(s.x < 1e8, maximum(s.xy, s.zw), -1e9) for s in rows]
         low, high = minimum(minimum(low[0], low[1]), low[2]), maximum(maximum(high[0], high[1]), high[2])
-        return _boxes(low, high, low.x < 1e8, self.softness.r + 1.0, len(t.faces), self.atlas)
+        return _boxes(low, high, low.x < 1e8, self.softness.r + 0.05, len(t.faces), self.atlas)
 
     def corners(self, table: Node, per_view: bool = False) -> list[Node]:
         """Tables (views x faces) of an attribute at the three sorted corners of each face."""
