@@ -11,30 +11,33 @@ from ..cache import bundle as bundles
 from ..cache import vulkan as v
 from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
-from ..cache.profile import from_device, misfit
+from ..cache.profile import Profile, misfit
+from ..cache.verify import violations
 from . import vk
 from .device import Device
+from .emulate import EmulatedDevice, rules
 from .memory import Images, Staging, image_bytes, region
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
 from .record import Recording, wait
 
-FORMAT_BITS = {"sampled": vk.VK_FORMAT_FEATURE_SAMPLED_IMAGE_BIT, "color": vk.VK_FORMAT_FEATURE_COLOR_ATTACHMENT_BIT,
-               "filter": vk.VK_FORMAT_FEATURE_SAMPLED_IMAGE_FILTER_LINEAR_BIT,
-               "blend": vk.VK_FORMAT_FEATURE_COLOR_ATTACHMENT_BLEND_BIT}
+DEPTH_BIT = vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT
 
 
-def load(path: str | os.PathLike, device: str | Device | None = None, *, validation: bool = False) -> Session:
-    """Open a bundle on a device (an open one, or a part of its name; default $DRESSI_DEVICE or the best). BundleError if the file
-    is wrong or does not fit the device, DeviceError if there is none."""
+def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None = None, *, validation: bool = False,
+         emulate: Profile | str | os.PathLike | None = None) -> Session:
+    """Open a bundle on a device (an open one, or a part of its name; default $DRESSI_DEVICE or the best). `emulate`: a profile
+    (or its name) whose limits, features and formats the device reports and enforces as if they were its own. BundleError if the
+    file is wrong, DeviceError if there is no device or the bundle does not fit it, ProfileError if there is no such profile."""
     bundle = bundles.read(path)
-    if isinstance(device, Device):
-        return Session(bundle, device)
-    opened = Device.open(device, validation=validation)
+    if emulate is not None and not isinstance(emulate, Profile):
+        emulate = Profile.load(emulate)
+    opened = device if isinstance(device, Device | EmulatedDevice) else Device.open(device, validation=validation)
     try:
-        return Session(bundle, opened, owns_device=True)
+        return Session(bundle, opened if emulate is None else EmulatedDevice(opened, emulate), owns_device=opened is not device)
     except BaseException:
-        opened.close()
+        if opened is not device:
+            opened.close()
         raise
 
 
@@ -45,7 +48,7 @@ def _layout(value: dict) -> Layout:
 class Session:
     """A context manager. Calls from several threads run one after another."""
 
-    def __init__(self, bundle, device: Device, owns_device: bool = False):
+    def __init__(self, bundle, device: Device | EmulatedDevice, owns_device: bool = False):
         self.bundle, self.device, self._owns_device = bundle, device, owns_device
         self._d = bundle.description
         self._lock = threading.RLock()
@@ -73,25 +76,24 @@ class Session:
     # ---- opening and closing
 
     def _check_device(self) -> None:
-        d, needs = self.device, self._d["needs"]
-        formats = {}
-        for name in needs["formats"]:
+        """What the bundle does, counted anew, and what it says it needs, against the device and the profile it emulates."""
+        d, device = self._d, self.device
+        for name in d["needs"]["formats"]:
             if name not in v.FORMATS:
                 raise BundleError(f"needs.formats names {name}, which this reader does not know")
-            bits = d.format_features(v.FORMATS[name])[1]
-            formats[name] = [f for f, bit in FORMAT_BITS.items() if bits & bit]
-        have = from_device(d.limits, d.features, formats, d.name)
-        lines = misfit({**needs["limits"], **needs["formats"]}, have)
-        self._depth_format = 0
-        for number in self._d["depth_formats"]:
-            if d.format_features(number)[1] & vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT:
-                self._depth_format = number
-                break
-        if not self._depth_format and any(image["format"] == 0 for image in self._d["images"]):
-            lines.append(f"none of the depth formats {self._d['depth_formats']} is a depth attachment")
-        if lines:
-            raise DeviceError(f"the bundle, made for profile {self._d['profile']['name']}, does not fit: {'; '.join(lines)}; "
-                              "compile it for a profile this device has")
+        self._depth_format, needs = 0, {**d["needs"]["limits"], **d["needs"]["formats"]}
+        for profile in rules(device):
+            lines = violations(d, profile, self.bundle.interfaces) or misfit(needs, profile)
+            if lines:
+                more = f"; and {len(lines) - 3} more" if len(lines) > 3 else ""
+                raise DeviceError(f"the bundle, made for profile {d['profile']['name']}, does not fit {profile.name}: "
+                                  f"{'; '.join(lines[:3])}{more}; compile it for a profile this device has")
+        if any(image["format"] == 0 for image in d["images"]):
+            views = {device, getattr(device, "real", device)}
+            able = [f for f in d["depth_formats"] if all(view.format_features(f)[1] & DEPTH_BIT for view in views)]
+            if not able:
+                raise DeviceError(f"none of the depth formats {d['depth_formats']} is a depth attachment of {device.name}")
+            self._depth_format = able[0]
 
     def _open(self) -> None:
         device = self.device.device
