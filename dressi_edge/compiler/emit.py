@@ -6,12 +6,14 @@ give equal text and share one module. Ops whose loop headers come out equal shar
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..cache.profile import Profile
 from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
 from .optable import FILTERED, OWN, VERTEX
+from .guard import Guard
 from .pack import Substage
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
@@ -144,24 +146,36 @@ class _Emitter:
     def functions(self) -> list[str]:
         return list(dict.fromkeys(n.op.functions for n in self.stage.nodes if n.op.functions))
 
-    def pixel_body(self) -> list[str]:
-        depth: dict[Node, int] = {}
-        for n in self.stage.nodes:
-            inner = [depth[x] for k, x in enumerate(n.inputs) if x in depth]
-            depth[n] = max(inner, default=0) + (n.op.loop is not None)
+    def pixel_body(self, guard: Guard | None) -> list[str]:
         for k, n in enumerate(self.stage.nodes):
             self.values[n] = f"v{k}"
+        if guard is None:
+            lines = self.block(self.stage.nodes)
+            return self.loads() + lines
+        first = self.block(guard.cone)
+        test = f"if ({self.value(guard.node)} == 0) discard;"
+        first = self.loads() + first
+        self.own.clear()
+        rest = self.block([n for n in self.stage.nodes if n not in guard.cone])
+        return [*first, test, *self.loads(), *rest]
+
+    def block(self, nodes: Sequence[Node]) -> list[str]:
+        """Statements of these nodes; loops with equal headers merged."""
+        depth: dict[Node, int] = {}
+        for n in nodes:
+            inner = [depth[x] for k, x in enumerate(n.inputs) if x in depth]
+            depth[n] = max(inner, default=0) + (n.op.loop is not None)
         lines = []
-        for level in range(max(depth.values()) + 1):
+        for level in range(max(depth.values(), default=-1) + 1):
             loops: dict[str, list[Node]] = {}
-            for n in self.stage.nodes:
+            for n in nodes:
                 if depth[n] == level and n.op.loop is not None:
                     lines.append(f"{n.vtype} {self.values[n]} = {n.vtype}(0);")
                     loops.setdefault(_mark(n.op.loop.header, self.names(n)), []).append(n)
             for header, members in loops.items():
                 body = " ".join(_mark(n.op.loop.body, self.names(n)) for n in members)
                 lines.append(f"{header} {body} {members[0].op.loop.close}")
-            for n in self.stage.nodes:
+            for n in nodes:
                 if depth[n] == level and n.op.loop is None:
                     lines.append(f"{n.vtype} {self.values[n]};")
                     lines.append(self.snippet(n))
@@ -181,14 +195,14 @@ class _Emitter:
         stores = [f"o{k} = " + (f"{'ivec4' if is_int(n.vtype) else 'vec4'}({self.values[n]}, 0);" if n.channels == 3 else
                                 f"{self.values[n]};") for k, n in enumerate(self.stage.outputs)]
         return "\n".join([_HEAD + "\n".join(self.declarations(False)), *varyings, *outs, *self.functions(), "void main() {",
-                          "ivec2 pixel = ivec2(gl_FragCoord.xy);", *self.loads(), *body, *stores, "}", ""])
+                          "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
 
 
-def emit(stage: Substage, profile: Profile) -> tuple[list[DrawCode], list[Binding]]:
-    """The draws of a substage and the images they bind, in binding order."""
+def emit(stage: Substage, profile: Profile, guard: Guard | None = None) -> tuple[list[DrawCode], list[Binding]]:
+    """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are discarded."""
     e = _Emitter(stage, profile)
     if not stage.raster:
-        body = e.pixel_body()
+        body = e.pixel_body(guard)
         return [DrawCode(FULLSCREEN, e.fragment(body, []), 3)], e.bindings
     node = stage.nodes[0]
     e.values[node] = "v0"
@@ -200,6 +214,7 @@ def emit(stage: Substage, profile: Profile) -> tuple[list[DrawCode], list[Bindin
         vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), *out, *e.functions(), "void main() {",
                             _mark(draw.vertex, names), "}", ""])
         body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
+        body = e.loads() + body
         factor, items = draw.vertices
         draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], attrs["views"],
                               (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, draw.depth_test,

@@ -60,6 +60,9 @@ class Op:
     draws: tuple[Draw, ...] = ()
     cost: int = 1
     functions: str = ""
+    absorbs: tuple[int, ...] = ()  # inputs that, when zero, make the result zero
+    absorbs_negative: tuple[int, ...] = ()  # inputs that, when negative, make the result zero
+    absent: tuple[tuple[int, int], ...] = ()  # (input, result): what the result is where that input is zero
     sample: Callable | None = field(default=None, compare=False)
     doc: str = ""
 

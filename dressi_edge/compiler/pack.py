@@ -94,7 +94,27 @@ def _levels(order: Sequence[Node], roots: set[Node]) -> dict[Node, int]:
         for x, m in _edges(n):
             high[x] = min(high[x], level[n] - _crosses(x, n, m))
             read.add(x)
+    _merge(order, level)
     return level
+
+
+def _merge(order: Sequence[Node], level: dict[Node, int]) -> None:
+    """Move whole groups down to an earlier group of their extent wherever their inputs are there in time."""
+    groups: dict[tuple[Extent, int], list[Node]] = {}
+    for n in order:
+        if n in level and n.op.stage != "raster":
+            groups.setdefault((n.extent, level[n]), []).append(n)
+    for extent, top in sorted(groups, key=lambda key: key[1]):
+        members = set(groups[extent, top])
+        ready = max((level.get(x, 0) + (0 if _leaf(x) else _crosses(x, n, m)) for n in members for x, m in _edges(n) if x not in members),
+                    default=1)
+        inner = any(x in members and _crosses(x, n, m) for n in members for x, m in _edges(n))
+        target = next((k for k in range(max(1, ready), top) if groups.get((extent, k))), None)
+        if target is not None and not inner:
+            for n in groups[extent, top]:
+                level[n] = target
+            groups[extent, target] += groups[extent, top]
+            groups[extent, top] = []
 
 
 def _groups(order: Sequence[Node], level: dict[Node, int]) -> list[list[Node]]:

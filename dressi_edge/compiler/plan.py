@@ -12,6 +12,7 @@ import numpy as np
 from ..cache import vulkan as v
 from ..cache.profile import Profile
 from . import emit, spirv
+from .guard import find_guard
 from .ir import CHANNELS, Node, is_int
 from .optable import apply
 from .pack import Stage, pack
@@ -184,14 +185,15 @@ class Assembler:
         depth = -1
         for s in stage.substages:
             colors = []
-            for n in s.outputs:
+            guard = find_guard(s)
+            clears = guard.constants if guard else (-1 if s.raster else None,) * len(s.outputs)
+            for n, clear in zip(s.outputs, clears):
                 ref = self._ref(n, place)
                 self.images[ref // 2]["usage"] |= v.USAGE_COLOR
-                clear = s.raster
-                attachments[ref] = {"format": format_number(n.vtype), "load": v.LOAD_CLEAR if clear else v.LOAD_DONT_CARE,
-                                    "store": v.STORE_STORE, "clear": -1 if clear else 0}
+                attachments[ref] = {"format": format_number(n.vtype), "load": v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
+                                    "store": v.STORE_STORE, "clear": clear or 0}
                 colors.append(list(attachments).index(ref))
-            draws, bindings = emit.emit(s, self.profile)
+            draws, bindings = emit.emit(s, self.profile, guard)
             refs = [self._ref(b.node, place) for b in bindings]
             for ref in refs:
                 self.images[ref // 2]["usage"] |= v.USAGE_SAMPLED

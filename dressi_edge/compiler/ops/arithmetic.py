@@ -19,8 +19,8 @@ def _float(node):
 
 op("add", "a b", infer=elementwise, ref=np.add, glsl="{y} = {a} + {b};", vjp=lambda g, y, a, b: (g, g))
 op("sub", "a b", infer=elementwise, ref=np.subtract, glsl="{y} = {a} - {b};", vjp=lambda g, y, a, b: (g, -g))
-op("mul", "a b", infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};", vjp=lambda g, y, a, b: (g * b, g * a))
-op("div", "a b", infer=elementwise, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4,
+op("mul", "a b", absorbs=(0, 1), infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};", vjp=lambda g, y, a, b: (g * b, g * a))
+op("div", "a b", absorbs=(0,), infer=elementwise, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4,
    vjp=lambda g, y, a, b: (g / b, -(g * y / b)),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.uniform(0.5, 2, (4, 5, 1))], {}))
 op("neg", "a", infer=elementwise, ref=np.negative, glsl="{y} = -{a};", vjp=lambda g, y, a: (-g,))
@@ -43,7 +43,7 @@ op("shift_left", "a b", infer=elementwise, ref=np.left_shift, glsl="{y} = {type}
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
 op("shift_right", "a b", infer=elementwise, ref=np.right_shift, glsl="{y} = {type}({a}) >> {b};",
    sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
-op("bit_and", "a b", infer=elementwise, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
+op("bit_and", "a b", absorbs=(0, 1), infer=elementwise, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
 op("bit_or", "a b", infer=elementwise, ref=np.bitwise_or, glsl="{y} = {a} | {b};",
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))

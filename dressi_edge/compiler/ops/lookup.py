@@ -168,7 +168,7 @@ def _lookup_sample(rng):
 
 
 _LOOKUP = "{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});"
-op("lookup", "entries index", infer=at(1), reads="texel own", ref=_lookup_ref, vjp=_lookup_vjp, cost=8, glsl=_LOOKUP,
+op("lookup", "entries index", absorbs_negative=(1,), infer=at(1), reads="texel own", ref=_lookup_ref, vjp=_lookup_vjp, cost=8, glsl=_LOOKUP,
    sample=_lookup_sample, doc="A table's entry by index; zero where the index is negative.")
 
 
@@ -178,7 +178,16 @@ def _boxed_sample(rng):
     return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
 
 
-def _segment_ref(values, index, box, occupied):
+def _segment_sum(values: Node, index: Node, box: Node) -> Node:
+    return apply("segment_sum", values, index, box, apply("box_occupied", box, apply("occupied", index)))
+
+
+def _box_occupied_ref(box, occupied):
+    hit = [occupied[y0 // TILE:-(-y1 // TILE), x0 // TILE:-(-x1 // TILE)].any() for x0, y0, x1, y1 in box.reshape(-1, 4)]
+    return np.array(hit, np.int64).reshape(*box.shape[:2], 1)
+
+
+def _segment_ref(values, index, box, active):
     out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
     ys, xs = np.nonzero(index[..., 0] >= 0)
     entry = index[ys, xs, 0]
@@ -188,8 +197,8 @@ def _segment_ref(values, index, box, occupied):
     return out.reshape(box.shape[0], box.shape[1], -1)
 
 
-op("lookup_boxed", "entries index box", infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8, glsl=_LOOKUP,
-   vjp=lambda g, y, entries, index, box: (apply("segment_sum", g, index, box, apply("occupied", index)), None, None),
+op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8, glsl=_LOOKUP,
+   vjp=lambda g, y, entries, index, box: (_segment_sum(g, index, box), None, None),
    sample=_boxed_sample,
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 TILE = 8  # pixels a side of an occupancy tile
@@ -209,15 +218,20 @@ op("occupied", "index", infer=lambda name, inputs, attrs: ("int", image(-(-input
     for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {{index}}(ivec2(a_, b_)));
     {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {}),
    doc="1 for each tile of 8 x 8 pixels in which some index is not negative.")
-op("segment_sum", "values index box occupied", infer=at(2), reads="texel texel own texel", ref=_segment_ref, cost=200,
-   vjp=lambda g, y, values, index, box, occupied: (apply("lookup_boxed", g, index, box), None, None, None),
-   loop=Loop(f"for (int d_ = {{box}}.y / {TILE}; d_ * {TILE} < {{box}}.w; ++d_) for (int c_ = {{box}}.x / {TILE}; c_ * {TILE} < {{box}}.z; ++c_) "
-             f"if ({{occupied}}(ivec2(c_, d_)) != 0) {{ ivec2 lo_ = max(ivec2(c_, d_) * {TILE}, {{box}}.xy), hi_ = min(ivec2(c_, d_) * {TILE} + {TILE}, {{box}}.zw);\n"
-             "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) "
-             "if ({index}(ivec2(a_, b_)) == {i}) {", "{y} += {values}(ivec2(a_, b_));", "} }"),
+op("box_occupied", "box occupied", infer=at(0, vtype="int"), reads="own texel", cost=20,
+   ref=lambda box, occupied: _box_occupied_ref(box, occupied), glsl=f"""{{y}} = 0;
+for (int b_ = {{box}}.y / {TILE}; b_ * {TILE} < {{box}}.w; ++b_) for (int a_ = {{box}}.x / {TILE}; a_ * {TILE} < {{box}}.z; ++a_)
+    {{y}} |= {{occupied}}(ivec2(a_, b_));""",
+   sample=lambda rng: ([to_table(np.array([[0, 0, 9, 8], [9, 9, 12, 10], [0, 0, 0, 0]])), np.array([[0, 1], [0, 0]])[..., None]], {}),
+   doc="1 where some tile of the pixel box is occupied.")
+op("segment_sum", "values index box active", infer=at(2), reads="texel texel own own", ref=_segment_ref, cost=400, absent=((3, 0),),
+   vjp=lambda g, y, values, index, box, active: (apply("lookup_boxed", g, index, box), None, None, None),
+   loop=Loop("for (ivec2 q_ = {box}.xy, z_ = {active} != 0 ? {box}.zw : ivec2(0); q_.y < z_.y; "
+             "q_ = q_.x + 1 < z_.x ? ivec2(q_.x + 1, q_.y) : ivec2({box}.x, q_.y + 1)) if ({index}(q_) == {i}) {",
+             "{y} += {values}(q_);"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
-                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
-   doc="Transpose of lookup_boxed: for each entry the sum, over the occupied tiles of its box, of the pixels that name it.")
+                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), to_table(np.ones(6, np.int64))], {}),
+   doc="Transpose of lookup_boxed: for each active entry the sum over its box of the pixels that name it, in row-major order.")
 
 op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,
    ref=lambda source, xy: source[np.clip(xy[..., 1], 0, source.shape[0] - 1), np.clip(xy[..., 0], 0, source.shape[1] - 1)],

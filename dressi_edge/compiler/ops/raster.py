@@ -180,13 +180,13 @@ if ({y}.x < 1e8) {
     }
 }""", doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen; 1e9 for all others.")
 
-op("nearest_edge", "code face_edges segments position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
-   reads="own texel texel own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,
+op("nearest_edge", "code face_edges segments position active", absent=((4, -1),), infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
+   reads="own texel texel own own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,
    glsl="""{y} = -1;
-if ({code} >= 0) {
+if ({code} >= 0 && {active} != 0) {
     int f_ = {code} >> 1, view_ = f_ / {face_count};
     ivec3 e_ = {face_edges_at}(f_ - view_ * {face_count}) + view_ * {edge_count};
     vec3 d_ = vec3(segment_distance2({position}, {segments_at}(e_.x)), segment_distance2({position}, {segments_at}(e_.y)),
                    segment_distance2({position}, {segments_at}(e_.z)));
     {y} = d_.x <= d_.y && d_.x <= d_.z ? e_.x : d_.y <= d_.z ? e_.y : e_.z;
-}""", doc="Entry of the face's edge nearest to the pixel; -1 where there is no face.")
+}""", doc="Entry of the face's edge nearest to the pixel; -1 where there is no face or `active` is 0.")

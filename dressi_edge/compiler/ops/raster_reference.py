@@ -102,11 +102,11 @@ def rasterize_peel(clip, faces, previous, **attrs):
     return _with_depth(*_layer((previous[..., 0], np.ascontiguousarray(previous[..., 1]).view(np.float64)), clip, faces, **attrs))
 
 
-def nearest_edge(code, face_edges, segments, position, face_count, edge_count):
+def nearest_edge(code, face_edges, segments, position, active, face_count, edge_count):
     code = code[..., 0]
     face = np.maximum(code >> 1, 0)
     view = face // face_count
     edges = face_edges.reshape(-1, 3)[face - view * face_count] + (view * edge_count)[..., None]
     d = segment_distance2(position[..., None, :], segments.reshape(-1, 4)[edges])
     nearest = np.take_along_axis(edges, d.argmin(-1)[..., None], -1)
-    return np.where(code[..., None] >= 0, nearest, -1)
+    return np.where((code[..., None] >= 0) & (active != 0), nearest, -1)

@@ -149,9 +149,8 @@ class Layers:
         exists = code >= 0
         hard = select(exists, apply("bit_and", code, 1), 0)
         face = apply("shift_right", code, 1)
-        active = select(self.edge_mask, code, -1)
-        edge = apply("nearest_edge", active, constant_table(self.topology.face_edges), stop_gradient(self.segments), self.position,
-                     face_count=len(self.topology.faces), edge_count=len(self.topology.edges))
+        edge = apply("nearest_edge", code, constant_table(self.topology.face_edges), stop_gradient(self.segments), self.position,
+                     self.edge_mask, face_count=len(self.topology.faces), edge_count=len(self.topology.edges))
         s = lookup(self.segments, edge, self.edge_boxes)
         a, b = s.xy, s.zw
         d, o = b - a, self.position - a
