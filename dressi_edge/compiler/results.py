@@ -133,8 +133,7 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
           metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = ()) -> dict:
     """Writes OUT, and OUT's stem with _sheet.png, _loss.png and _metrics.json; the metrics, with what was measured and the files.
 
-    curves: losses by phase, (iterations done, loss). before: `snapshot` of the start. extra_rows: more rows for the sheet, before the
-    target's.
+    curves: losses by phase, (iterations done, loss). before: `snapshot` of the start. extra_rows: more rows for the sheet.
     """
     out = Path(out)
     files = {"mesh": out, "sheet": out.with_name(f"{out.stem}_sheet.png"), "loss": out.with_name(f"{out.stem}_loss.png"),
@@ -143,7 +142,7 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
     save_mesh(files["mesh"], mesh_of(session))
     after, wanted = snapshot(session), targets(session)
     rows = [(label, images[:SHOWN]) for label, images in
-            (("before", before), ("after", after), *extra_rows, ("target", wanted)) if images is not None]
+            (("before", before), ("after", after), ("target", wanted), *extra_rows) if images is not None]
     if rows:
         contact_sheet(rows, files["sheet"])
     else:
