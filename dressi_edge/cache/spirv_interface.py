@@ -32,7 +32,7 @@ _ONCE = frozenset({BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT
 # opcode: how many of its first operands are ids; 9 stands for all. What is not here is refused.
 _ALL = 9
 BODY = dict.fromkeys((*range(109, 117), 124, *range(126, 153), *range(154, 192), *range(194, 206), *range(207, 216)), _ALL)
-BODY |= {1: 2, 8: 1, 12: 3, 54: 2, 55: 2, 56: 0, 57: _ALL, 59: 2, 61: 3, 62: 2, 63: 2, 65: _ALL, 66: _ALL, 79: 4, 80: _ALL,
+BODY |= {1: 2, 8: 1, 12: 3, 54: 2, 55: 2, 56: 0, 57: 3, 59: 3, 61: 3, 62: 2, 63: 2, 65: _ALL, 66: _ALL, 79: 4, 80: _ALL,
          81: 3, 82: 4, 83: 3, 84: 3, 86: 4, 87: 4, 88: 4, 91: 4, 92: 4, 95: 4, 96: 5, 98: 4, 100: 3, 103: 4, 104: 3, 105: 4,
          106: 3, 245: _ALL, 246: 2, 247: 1, 248: 1, 249: 1, 250: 3, 251: 2, 252: 0, 253: 0, 254: 1, 255: 0, 317: 0}
 _IGNORED = frozenset({2, 3, 4, 5, 6, 7, 8, 317, 330})  # sources, names, lines
@@ -71,6 +71,18 @@ def parse(data: bytes, where: str = "shader") -> Interface:
     return _Module(data, where).interface()
 
 
+class _Steps(dict):
+    """First word of an instruction in a function -> how many words it has, negated for functions, calls and variables;
+    LookupError for what is not allowed. Filled as it is asked: there are few different ones."""
+
+    def __missing__(self, word: int) -> int:
+        count, op = word >> 16, word & 0xFFFF
+        if not count or not (BODY[op] < count or BODY[op] == _ALL):
+            raise LookupError
+        self[word] = -count if op in (54, 57, 59) else count
+        return self[word]
+
+
 class _Module:
     def __init__(self, data, where: str):
         self.where, self.data = where, data
@@ -95,6 +107,7 @@ class _Module:
         self.variables: list[tuple[int, int, int]] = []  # id, storage class, pointee
         self.modes: set[int] = set()
         self.stage: int | None = None
+        self.entry = 0
         self._functions(self._declarations())
 
     def fail(self, what: str):
@@ -116,27 +129,40 @@ class _Module:
             at += count
         self.fail("has no function")
 
-    def _functions(self, at: int) -> None:
-        """Every instruction of the functions is known and its ids are within the bound."""
-        words, end = self.words, len(self.words)
-        start, n, seen, own = at, 0, set(), True
+    def _functions(self, start: int) -> None:
+        """Every instruction of the functions is known, its ids are within the bound, and what is called is there."""
+        words, end, steps = self.words, len(self.words), _Steps()
+        at, n, step, noted, sound = start, 0, 0, [], True
         try:
-            while at < end:  # a few million words a second: the rest is done on `seen`, or at C's speed
-                word = words[at]
-                if word == 0x4003B and words[at + 3] != FUNCTION:
-                    own = False
-                at += word >> 16 or HUGE << 16
-                seen.add(word)
+            while at < end:  # the one loop over all instructions: whatever else there is to do is done at C's speed
+                step = steps[words[at]]
+                if step < 0:
+                    noted.append(at)
+                    step = -step
+                at += step
                 n += 1
-        except IndexError:
-            own = False
-        known = own and at == end and 0x5003B not in seen and all(
-            BODY.get(word & 0xFFFF, HUGE) < (word >> 16) or BODY.get(word & 0xFFFF) == _ALL for word in seen)
-        # if only the n instructions have a high half, and no low half (opcodes too) reaches the bound, then no operand does
+        except LookupError:
+            sound = False
+        # if only the n first words of instructions have a high half, the words without one are the operands
         halves = memoryview(self.data).cast("B").cast("H")[2 * start:].tolist()
         high, low = halves[1::2], halves[::2]
-        if not known or sys.byteorder != "little" or len(high) - high.count(0) != n or max(low) >= self.bound:
+        sound = sound and at == end and sys.byteorder == "little" and len(high) - high.count(0) == n
+        if not sound or max(low) >= self.bound and max(filter((1 << 16).__gt__, words[start:]), default=0) >= self.bound:
             self._each(start)
+        if words[-1] != 0x10038 or step != 1:
+            self.fail("ends within a function")
+        calls, functions = {self.entry}, set()
+        for at in noted:
+            op = words[at] & 0xFFFF
+            if op == 59:
+                if words[at + 3] != FUNCTION:
+                    self.fail(f"word {at}: a variable in a function that is not its own")
+            elif op == 54:
+                functions.add(words[at + 2])
+            else:
+                calls.add(words[at + 3])
+        if not calls <= functions:
+            self.fail("calls a function that is not there" if self.entry in functions else "lacks the entry point's function")
 
     def _each(self, at: int) -> None:
         """The same one by one: names what is wrong, and accepts literals beyond the bound."""
@@ -153,8 +179,6 @@ class _Module:
             top = max(words[at + 1:at + (count if ids == _ALL else 1 + ids)], default=0)
             if top >= bound:
                 self.fail(f"word {at}: id {top}; ids below {bound} are allowed")
-            if op == 59 and (count < 4 or words[at + 3] != FUNCTION):
-                self.fail(f"word {at}: a variable in a function that is not its own")
             at += count
 
     def _id(self, x: int, at: int) -> int:
@@ -230,7 +254,7 @@ class _Module:
             self.fail(f"word {at}: the entry point must be called main")
         for x in (ops[1], *ops[4:]):
             self._id(x, at)
-        self.stage = MODELS[ops[0]]
+        self.stage, self.entry = MODELS[ops[0]], ops[1]
 
     def _new_type(self, op: int, ops: tuple, at: int) -> Type:
         def need(least: int) -> None:

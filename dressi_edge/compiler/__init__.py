@@ -10,6 +10,7 @@ from ..cache import bundle as _bundle
 from ..cache import vulkan as _v
 from ..cache.profile import Profile
 from . import ops as _ops  # noqa: F401  (fills the op table)
+from .inspect import count_functions, trace
 from .needs import needs
 from .plan import Assembler
 from .program import Program
@@ -21,6 +22,7 @@ def describe(program: Program, profile: Profile, *, naive: bool = False, cache: 
     """The bundle's description without blobs, and the assembler that holds them and the stages."""
     assembler = Assembler(program, profile, naive, cache)
     description = assembler.assemble()
+    description["meta"] = {**program.meta, "functions": count_functions(assembler)}
     description["profile"] = {"name": profile.name, "digest": profile.digest}
     description["needs"] = needs(description)
     description["depth_formats"] = [_v.DEPTH_FORMATS[name] for name in profile.depth_choice()]
@@ -34,5 +36,6 @@ def compile_program(program: Program, profile: Profile | str, path: str | os.Pat
     if not isinstance(profile, Profile):
         profile = Profile.load(profile)
     description, assembler = describe(program, profile, naive=naive, cache=cache)
+    trace(description, assembler)
     _bundle.write(path, description, assembler.blobs)
     return description

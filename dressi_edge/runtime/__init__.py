@@ -7,6 +7,17 @@
 
 Imports the standard library, numpy and msgpack; never the compiler.
 """
-from .session import Session, load
+TYPE_CHECKING = False  # as typing.TYPE_CHECKING, whose module takes milliseconds
+if TYPE_CHECKING:
+    from .session import Session, load
 
 __all__ = ["Session", "load"]
+
+
+def __getattr__(name: str):
+    """Session and load when first asked for: the binding and the list of devices need the standard library alone."""
+    if name in __all__:
+        from . import session
+
+        return getattr(session, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

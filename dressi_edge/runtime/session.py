@@ -102,15 +102,20 @@ class Session:
         self._fence = vk.CreateFence(device, vk.VkFenceCreateInfo())
         self._staging = Staging(self.device)
         self._images = Images(self.device, self._d["images"], self._depth_format)
-        self._store = PipelineStore(self.device, self.bundle.digest)
-        self._pipelines = Pipelines(self.device, self.bundle, self._depth_format, self._store.handle)
-        self._store.keep()
+        clearing = self._start(self._clear)  # the device does this while the driver compiles
+        try:
+            self._store = PipelineStore(self.device, self.bundle.digest)
+            self._pipelines = Pipelines(self.device, self.bundle, self._depth_format, self._store.handle)
+            self._store.keep()
+        finally:
+            self._finish(clearing)
         uploads = [(k, self.bundle.blob(image["data"])) for k, image in enumerate(self._d["images"]) if image["data"] is not None]
         uploads += [(value["image"], self.bundle.blob(value["initial"])) for value in self._d["values"] if value["initial"] is not None]
-        self._fill(uploads)
+        for image, data in uploads:
+            self._write(image, np.frombuffer(data, np.uint8))
 
-    def _once(self, record) -> None:
-        """Record, submit and finish one command buffer."""
+    def _start(self, record) -> int:
+        """Record and submit one command buffer, for `_finish` to wait for before anything else is submitted."""
         device = self.device.device
         commands = vk.AllocateCommandBuffers(device, vk.VkCommandBufferAllocateInfo(
             commandPool=self._pool, level=vk.VK_COMMAND_BUFFER_LEVEL_PRIMARY, commandBufferCount=1))[0]
@@ -118,42 +123,50 @@ class Session:
             vk.BeginCommandBuffer(commands, vk.VkCommandBufferBeginInfo(flags=vk.VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT))
             record(commands)
             vk.EndCommandBuffer(commands)
-            self._submit([commands])
-        finally:
+            vk.QueueSubmit(self.device.queue, [vk.VkSubmitInfo(pCommandBuffers=[commands])], self._fence)
+        except BaseException:
             vk.FreeCommandBuffers(device, self._pool, [commands])
+            raise
+        return commands
+
+    def _finish(self, commands: int) -> None:
+        try:
+            self._wait()
+        finally:
+            vk.FreeCommandBuffers(self.device.device, self._pool, [commands])
+
+    def _once(self, record) -> None:
+        """Record, submit and finish one command buffer."""
+        self._finish(self._start(record))
 
     def _submit(self, commands: list[int]) -> None:
         vk.QueueSubmit(self.device.queue, [vk.VkSubmitInfo(pCommandBuffers=commands)], self._fence)
+        self._wait()
+
+    def _wait(self) -> None:
         while vk.WaitForFences(self.device.device, [self._fence], True, 1_000_000_000) == vk.VK_TIMEOUT:
             pass
         vk.ResetFences(self.device.device, [self._fence])
 
-    def _fill(self, uploads: list) -> None:
-        """Bring every image to GENERAL, zero, then fill those with data; both slots of none but the current one."""
-        records = self._d["images"]
-
-        def clear(c):
-            barriers, wipes = [], []
-            for record, handles in zip(records, self._images.handles):
-                aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
-                for handle in handles:
-                    barriers.append(vk.VkImageMemoryBarrier(
-                        srcAccessMask=0, dstAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, oldLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED,
-                        newLayout=vk.VK_IMAGE_LAYOUT_GENERAL, srcQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED,
-                        dstQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED, image=handle, subresourceRange=(aspect, 0, 1, 0, 1)))
-                    if record["format"]:
-                        wipes.append(handle)
-            if barriers:
-                vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, vk.VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0,
-                                      pImageMemoryBarriers=barriers)
-            for handle in wipes:
-                vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
-                                      [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
-            wait(c)
-
-        self._once(clear)
-        for image, data in uploads:
-            self._write(image, np.frombuffer(data, np.uint8))
+    def _clear(self, c: int) -> None:
+        """Bring every image to GENERAL, zero."""
+        barriers, wipes = [], []
+        for record, handles in zip(self._d["images"], self._images.handles):
+            aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
+            for handle in handles:
+                barriers.append(vk.VkImageMemoryBarrier(
+                    srcAccessMask=0, dstAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, oldLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED,
+                    newLayout=vk.VK_IMAGE_LAYOUT_GENERAL, srcQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED,
+                    dstQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED, image=handle, subresourceRange=(aspect, 0, 1, 0, 1)))
+                if record["format"]:
+                    wipes.append(handle)
+        if barriers:
+            vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, vk.VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0,
+                                  pImageMemoryBarriers=barriers)
+        for handle in wipes:
+            vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
+                                  [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
+        wait(c)
 
     def _write(self, image: int, data: np.ndarray) -> None:
         self._staging.reserve(data.nbytes)

@@ -257,7 +257,9 @@ class Problem:
     def compile(self, profile: Profile | str, path: str | os.PathLike, **options) -> dict:
         """Write the bundle; its description. See `compiler.compile_program`."""
         from .. import compile_program
+        from ..results import record
         if not self.program.plans:
             raise InputError("the problem has no phase and renders nothing; add one with phase() or render()")
+        self.program.meta.update(record(self))
         return compile_program(self.program, profile, path, **options)
 

@@ -1,0 +1,95 @@
+"""What a bundle's plans are made of, counted from its description: for `dressi-edge inspect` and docs/packing.md.
+
+In: a checked description. Out: counts a plan, lines of text, or a graph in DOT.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from . import vulkan as v
+
+
+def image_bytes(image: Mapping) -> int:
+    """Bytes of one slot of an image; depth counts four a pixel."""
+    return 4 * v.FORMAT_CHANNELS.get(image["format"], 1) * image["width"] * image["height"]
+
+
+def stage_bytes(d: Mapping, stage: Mapping) -> int:
+    """Bytes a render pass moves between images and the GPU: every attachment it loads, every one it stores, and once a subpass
+    every image that is sampled there. Input attachments stay where they are; reuse by a cache is not counted."""
+    total = 0
+    for ref, a in zip(stage["attachments"], d["passes"][stage["pass"]]["attachments"]):
+        times = (a["load"] == v.LOAD_LOAD) + (a["store"] == v.STORE_STORE)
+        total += times * image_bytes(d["images"][ref // 2])
+    for draws in stage["subpasses"]:
+        sampled = {ref for draw in draws for ref, b in zip(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"])
+                   if b[0] != v.DESCRIPTOR_INPUT_ATTACHMENT}
+        total += sum(image_bytes(d["images"][ref // 2]) for ref in sampled)
+    return total
+
+
+def pipelines(plan: Mapping) -> set[int]:
+    return {draw["pipeline"] for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws}
+
+
+def summary(d: Mapping) -> dict[str, dict]:
+    """Plan -> functions, substages, stages, pipelines (distinct), bytes_per_step; functions is None where the bundle does not say."""
+    functions = d["meta"].get("functions")
+    functions = functions if isinstance(functions, dict) else {}
+    return {plan["name"]: {
+        "functions": functions.get(plan["name"]), "substages": sum(len(stage["subpasses"]) for stage in plan["stages"]),
+        "stages": len(plan["stages"]), "pipelines": len(pipelines(plan)),
+        "bytes_per_step": sum(stage_bytes(d, stage) for stage in plan["stages"])} for plan in d["plans"]}
+
+
+def _size(count: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} GB"
+
+
+def text(d: Mapping) -> str:
+    """The summary and every stage, for people."""
+    lines = [f"profile {d['profile']['name']}: {len(d['plans'])} plans, {len(d['pipelines'])} pipelines, {len(d['shaders'])} shaders, "
+             f"{len(d['images'])} images of {_size(sum(image_bytes(i) * i['slots'] for i in d['images']))}", ""]
+    for plan in d["plans"]:
+        s = summary({**d, "plans": [plan]})[plan["name"]]
+        known = "" if s["functions"] is None else f"{s['functions']} functions, "
+        lines.append(f"{plan['name']}: {known}{s['substages']} substages, {s['stages']} stages, {s['pipelines']} pipelines, "
+                     f"{_size(s['bytes_per_step'])} a step" + (f", {plan['steps']} steps" if plan["steps"] else ""))
+        for k, stage in enumerate(plan["stages"]):
+            formats = [d["images"][ref // 2]["format"] for ref in stage["attachments"]]
+            names = [v.FORMAT_NAMES.get(f, "depth") for f in formats]
+            count = " ".join(f"{names.count(n)}x{n}" for n in dict.fromkeys(names))
+            draws = sum(len(draw["cells"]) for subpass in stage["subpasses"] for draw in subpass)
+            lines.append(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages, {draws} draws, "
+                         f"{_size(stage_bytes(d, stage))}, attachments {count}")
+    needs = " ".join(f"{name}={x}" for name, x in d["needs"]["limits"].items())
+    return "\n".join([*lines, "", f"needs of the device: {needs}"]) + "\n"
+
+
+def _quoted(name: str) -> str:
+    return '"' + "".join(c if c.isprintable() else "?" for c in name).replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def dot(d: Mapping) -> str:
+    """Stages as boxes, an arrow from the stage that writes an image to each that reads it; a cluster for each plan."""
+    lines = ["digraph bundle {", "  node [shape=box, fontname=\"sans-serif\", fontsize=10];", "  rankdir=TB;"]
+    for p, plan in enumerate(d["plans"]):
+        lines += [f"  subgraph cluster_{p} {{", f"    label={_quoted(plan['name'])};"]
+        writer: dict[int, int] = {}
+        edges: dict[tuple[int, int], int] = {}
+        for k, stage in enumerate(plan["stages"]):
+            label = f"{k}: {stage['width']} x {stage['height']}\\n{len(stage['subpasses'])} substages, " \
+                    f"{len(stage['attachments'])} attachments\\n{_size(stage_bytes(d, stage))}"
+            lines.append(f"    s{p}_{k} [label=\"{label}\"];")
+            reads = {ref for draws in stage["subpasses"] for draw in draws for ref in draw["images"]}
+            for ref in sorted(reads):
+                if ref in writer and writer[ref] != k:
+                    edges[writer[ref], k] = edges.get((writer[ref], k), 0) + 1
+            writer.update(dict.fromkeys(stage["attachments"], k))
+        lines += [f"    s{p}_{a} -> s{p}_{b}" + (f" [label=\"{n}\"];" if n > 1 else ";") for (a, b), n in edges.items()]
+        lines.append("  }")
+    return "\n".join([*lines, "}"]) + "\n"

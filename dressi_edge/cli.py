@@ -1,0 +1,156 @@
+"""`dressi-edge`: arguments in, a command of dressi_edge/commands, an exit code out.
+
+0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted. An error is one line on stderr. A command's module is imported
+when it runs, so that a device needs no more than the runtime.
+"""
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+
+from .cache.errors import DressiError
+
+USAGE, DEFECT, INTERRUPTED = 2, 1, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse with errors of one line."""
+
+    def error(self, message):
+        self.exit(USAGE, f"dressi-edge: {_line(message)}; see {self.prog} --help\n")
+
+
+def _line(text) -> str:
+    """The text on one line, without what would move the cursor."""
+    return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser, *_):
+        from importlib.metadata import PackageNotFoundError, version
+        try:
+            found = version("dressi_edge")
+        except PackageNotFoundError:
+            found = "(not installed: running from a checkout)"
+        parser.exit(0, f"dressi-edge {found}\n")
+
+
+def _steps(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
+    return int(text)
+
+
+def parser() -> argparse.ArgumentParser:
+    top = _Parser(prog="dressi-edge", description="A differentiable renderer on plain Vulkan: images in, mesh and texture out.",
+                  epilog="Environment: DRESSI_DEVICE, DRESSI_DEBUG, DRESSI_DUMP, DRESSI_CACHE; see docs/job.md.")
+    top.add_argument("--version", nargs=0, action=_Version, help="print the version")
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, text: str, within=commands, target: str | None = None) -> argparse.ArgumentParser:
+        sub = within.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        sub.set_defaults(target=target or f"{name}:{name}")
+        return sub
+
+    def json_switch(sub):
+        sub.add_argument("--json", action="store_true", help="print JSON")
+
+    def device(sub, more=""):
+        sub.add_argument("--device", metavar="NAME", help=f"number or part of the name of a Vulkan device{more}; default $DRESSI_DEVICE, "
+                         "else the best there is")
+
+    sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
+    sub.add_argument("job", help="the job, a TOML file")
+    sub.add_argument("-p", "--profile", required=True, help="device profile: a name of `dressi-edge profiles list`, or a .json file")
+    sub.add_argument("-o", "--output", required=True, metavar="X.dressi", help="the bundle to write")
+    json_switch(sub)
+
+    sub = command("run", "solve a bundle: step its phases and write the mesh, pictures and numbers")
+    sub.add_argument("bundle", help="the bundle; or, with --device reference, a job")
+    sub.add_argument("--steps", type=_steps, metavar="N", help="iterations of each phase, instead of the job's")
+    sub.add_argument("--phase", metavar="P", help="run this phase alone")
+    sub.add_argument("-o", "--output", metavar="OUT", help="OUT.glb, .gltf, .obj or .ply: the mesh, with OUT_sheet.png, OUT_loss.png and "
+                     "OUT_metrics.json beside it (needs the compiler's packages); OUT.npz: the states as arrays")
+    device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
+    sub.add_argument("--explain", action="store_true", help="print what ran how often, and what the session occupies")
+    json_switch(sub)
+
+    sub = command("inspect", "show what a bundle is made of", target="bundle:inspect")
+    sub.add_argument("bundle")
+    form = sub.add_mutually_exclusive_group()
+    json_switch(form)
+    form.add_argument("--dot", action="store_true", help="print the graph of stages for Graphviz")
+
+    sub = command("verify", "check a bundle without a device", target="bundle:verify")
+    sub.add_argument("bundle")
+
+    sub = command("bench", "time a bundle: each stage of each plan by device timestamps, and whole steps", target="bench:bench")
+    sub.add_argument("bundle")
+    sub.add_argument("--runs", type=_steps, default=9, metavar="N", help="how often each plan runs; the median counts (default 9)")
+    device(sub)
+    json_switch(sub)
+
+    sub = command("profiles", "list, show, check, merge and capture device profiles")
+    kinds = sub.add_subparsers(metavar="ACTION", required=True)
+    json_switch(command("list", "list the profiles that come with the product", kinds, "profiles:list_all"))
+    named = command("show", "print a profile's file", kinds, "profiles:show")
+    named.add_argument("profile")
+    named = command("check", "say what is wrong with profiles (default: all that come with the product)", kinds, "profiles:check_all")
+    named.add_argument("profile", nargs="*")
+    named = command("merge", "print the intersection of profiles: what all of them allow", kinds, "profiles:merge_all")
+    named.add_argument("profile", nargs="+")
+    named.add_argument("-n", "--name", default="merged", help="the name of the new profile (default merged)")
+    named.add_argument("-o", "--output", metavar="FILE.json", help="write it there instead")
+    named = command("capture", "print the profile of the device at hand", kinds, "profiles:capture")
+    named.add_argument("-n", "--name", default="captured", help="the name of the new profile (default captured)")
+    named.add_argument("-o", "--output", metavar="FILE.json", help="write it there instead")
+    device(named)
+
+    json_switch(command("devices", "list the Vulkan devices", target="bundle:devices"))
+
+    sub = command("demo", "from six pictures of a pear and a sphere to its shape and texture")
+    sub.add_argument("-o", "--output", metavar="DIR", default="demo_out", help="folder for the pictures and numbers (default demo_out)")
+    device(sub)
+    sub.add_argument("--quick", action="store_true", help="a tenth of the steps and small pictures: does it work at all?")
+    return top
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command; its exit code."""
+    args = parser().parse_args(argv)
+    module, function = args.target.split(":")
+    try:
+        try:
+            run = getattr(importlib.import_module(f"dressi_edge.commands.{module}"), function)
+            code = run(args) or 0
+            sys.stdout.flush()
+            return code
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] in ("trimesh", "PIL", "tomli"):
+                raise DressiError(f"package {error.name} is not installed, and this command needs it; "
+                                  "pip install 'dressi_edge[compiler]'") from error
+            raise
+    except DressiError as error:
+        if os.environ.get("DRESSI_DEBUG"):
+            import traceback
+            traceback.print_exc()
+        print(f"dressi-edge: {_line(error)}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("dressi-edge: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader has gone, such as head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:  # noqa: BLE001
+        if os.environ.get("DRESSI_DEBUG"):
+            raise
+        print(f"dressi-edge: defect: {type(error).__name__}: {_line(error)}; set DRESSI_DEBUG=1 for the traceback, and report it",
+              file=sys.stderr)
+        return DEFECT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""`profiles`: list, show, check, merge, capture."""
+from __future__ import annotations
+
+import sys
+
+from ..cache.errors import ProfileError
+from ..cache.profile import FORMATS, Profile, check, from_device, merge, profile_names, to_json
+from .files import check_folder, print_json, write_file
+
+
+def list_all(args) -> None:
+    profiles = [Profile.load(name) for name in profile_names()]
+    if args.json:
+        print_json({p.name: {"description": p.description, "date": p.date, "digest": p.digest} for p in profiles})
+        return
+    for p in profiles:
+        print(f"{p.name:22} {p.limit('maxPerStageDescriptorInputAttachments'):>10} input, {p.limit('maxColorAttachments')} colour attachments  "
+              f"{p.description}")
+
+
+def show(args) -> None:
+    sys.stdout.write(to_json(Profile.load(args.profile)))
+
+
+def check_all(args) -> None:
+    lines = [(name, line) for name in args.profile or profile_names() for line in check(Profile.load(name))]
+    faults = [line for _, line in lines if not line.startswith("note: ")]
+    for _, line in lines:
+        print(line)
+    if faults:
+        raise ProfileError(f"{len(faults)} faults; the first: {faults[0]}")
+    print(f"OK {' '.join(args.profile or profile_names())}")
+
+
+def merge_all(args) -> None:
+    _give(merge([Profile.load(name) for name in args.profile], _named(args.name)), args.output)
+
+
+def capture(args) -> None:
+    import datetime
+
+    from ..runtime import vk
+    from ..runtime.device import Device
+    name = _named(args.name)
+    if args.output:
+        check_folder(args.output)
+    with Device.open(args.device) as device:
+        bits = {flag: getattr(vk, flag) for flag in _format_flags()}
+        formats = {}
+        for short in FORMATS:
+            found = device.format_features(getattr(vk, f"VK_FORMAT_{short}"))[1]
+            formats[short] = [flag for flag, bit in bits.items() if found & bit]
+        day = datetime.date.today().isoformat()
+        profile = from_device(device.limits, device.features, formats, name, description=f"{device.name}, {device.driver}, as found",
+                              source=f"reported by {device.driver} for {device.name}, {day}", date=day,
+                              api_version=".".join(map(str, device.api_version)))
+    _give(profile, args.output)
+
+
+def _format_flags() -> tuple[str, ...]:
+    from ..cache.profile import FORMAT_FEATURES
+    return tuple(FORMAT_FEATURES.values())
+
+
+def _named(name: str) -> str:
+    import re
+    if not re.fullmatch(r"[a-z0-9_]{1,64}", name):
+        raise ProfileError(f"profile name {name!r:.80}: 1 to 64 of a-z, 0-9 and _ are allowed")
+    return name
+
+
+def _give(profile: Profile, path: str | None) -> None:
+    if path is None:
+        sys.stdout.write(to_json(profile))
+    else:
+        write_file(path, to_json(profile).encode())
+        print(f"{path}: profile {profile.name}")

@@ -1,0 +1,160 @@
+"""`run`: step the phases of a bundle, show how it goes, and write the result. Without an output it needs the runtime alone."""
+from __future__ import annotations
+
+import io
+import os
+import sys
+import time
+
+from ..cache.errors import InputError
+from .files import check_folder, print_json, write_file
+
+POINTS = 60  # of a loss curve, about
+QUIET_SECONDS = 3.0  # between lines where stderr is no terminal
+MESHES = (".glb", ".gltf", ".obj", ".ply")
+
+
+class Progress:
+    """Loss and ms a step on stderr: a bar on a terminal, else a line every few seconds."""
+
+    def __init__(self, name: str, steps: int):
+        self.name, self.steps, self.last = name, steps, time.monotonic()
+        self.bar = sys.stderr.isatty()
+
+    def show(self, done: int, loss: float | None, ms: float) -> None:
+        now, end = time.monotonic(), done == self.steps
+        text = f"{self.name} {done}/{self.steps}" + (f" loss {loss:.5g}" if loss is not None else "") + f" {ms:.1f} ms a step"
+        if self.bar:
+            full = 24 * done // self.steps
+            sys.stderr.write(f"\r[{'#' * full}{' ' * (24 - full)}] {text}\x1b[K" + ("\n" if end else ""))
+        elif end or now - self.last >= QUIET_SECONDS:
+            sys.stderr.write(text + "\n")
+            self.last = now
+        sys.stderr.flush()
+
+
+def solve(session, phase: str, steps: int, curve: list) -> dict:
+    """Step a phase, appending (iterations done, loss) to `curve`; what is known of it afterwards. On KeyboardInterrupt the step in
+    flight is finished."""
+    has_loss = f"{phase}.loss" in session.values
+    progress, every = Progress(phase, steps), max(1, steps // POINTS)
+    session.step(0, phase)
+
+    def measure(done: int) -> float | None:
+        if has_loss:
+            curve.append((done, session.loss()))
+        return curve[-1][1] if curve else None
+
+    loss, done, spent, chunk, timed, stopped = measure(0), 0, 0.0, 1, [], False
+    try:
+        while done < steps:
+            n = min(chunk, every - done % every, steps - done)
+            start = time.perf_counter()
+            session.step(n)
+            took = time.perf_counter() - start
+            done, spent = done + n, spent + took
+            if done > n:  # the first chunk holds the driver's compilation
+                timed.append((took, n))
+            if done % every == 0 or done == steps:
+                loss = measure(done)
+            each = took / n
+            chunk = max(1, min(every, int(0.5 / max(each, 1e-6))))
+            progress.show(done, loss, each * 1e3)
+    except KeyboardInterrupt:
+        stopped = True
+        sys.stderr.write(f"\nstopped {phase} after {done} of {steps} steps\n")
+        measure(done)
+    count = sum(n for _, n in timed)
+    out = {"steps": done, "seconds": spent, "ms_per_step": sum(t for t, _ in timed) / count * 1e3 if count else spent / max(done, 1) * 1e3}
+    if curve:
+        out |= {"loss_first": curve[0][1], "loss_last": curve[-1][1]}
+    return out | ({"interrupted": True} if stopped else {})
+
+
+def _open(args):
+    if args.device == "reference":
+        if not args.bundle.endswith(".toml"):
+            raise InputError(f"{args.bundle}: --device reference runs a job (.toml), for a bundle holds no graph; give the job")
+        from ..compiler.job import load_job
+        from ..compiler.reference_session import ReferenceSession
+        from ..compiler.results import record
+        problem = load_job(args.bundle)
+        problem.program.meta.update(record(problem))
+        return ReferenceSession(problem.program)
+    if args.bundle.endswith(".toml"):
+        raise InputError(f"{args.bundle} is a job; make a bundle of it first: dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
+    from .. import runtime
+    return runtime.load(args.bundle, args.device)
+
+
+def _todo(session, args) -> list[tuple[str, int]]:
+    """Phases and their steps."""
+    if not session.phases:
+        raise InputError(f"{args.bundle} updates nothing: there is no phase to run")
+    if args.phase is not None and args.phase not in session.phases:
+        raise InputError(f"--phase {args.phase!r:.60} is no phase of {args.bundle}; there are: {' '.join(session.phases)}")
+    todo = [(name, args.steps or session.plans[name]["steps"]) for name in session.phases if args.phase in (None, name)]
+    if missing := [name for name, steps in todo if not steps]:
+        raise InputError(f"phase {missing[0]} of {args.bundle} says no number of steps; give --steps")
+    return todo
+
+
+def _check_output(path: str) -> str:
+    """The kind of output, "mesh" or "arrays". Raises InputError."""
+    suffix = os.path.splitext(path)[1].lower()
+    if suffix not in (*MESHES, ".npz"):
+        raise InputError(f"output {path}: extension {suffix or 'none'} is unknown; known are {' '.join(MESHES)} .npz")
+    check_folder(path)
+    return "arrays" if suffix == ".npz" else "mesh"
+
+
+def run(args) -> int:
+    kind = args.output and _check_output(args.output)
+    results = None
+    if kind == "mesh":
+        from ..compiler import results
+    with _open(args) as session:
+        todo = _todo(session, args)
+        before = None
+        if results:
+            results.mesh_of(session)  # fails now rather than after the work
+            before = results.snapshot(session)
+        curves, phases = {}, {}
+        for name, steps in todo:
+            phases[name] = solve(session, name, steps, curves.setdefault(name, []))
+            if phases[name].get("interrupted"):
+                break
+        metrics = {"device": session.device.name, "driver": session.device.driver,
+                   "profile": session.bundle.description["profile"]["name"], "phases": phases}
+        if results:
+            metrics = results.write(session, args.output, curves, before, metrics)
+        elif kind:
+            _save_states(session, args.output)
+        if args.explain:
+            metrics["report"] = session.report()
+    _tell(metrics, args)
+    return 130 if any(p.get("interrupted") for p in phases.values()) else 0
+
+
+def _save_states(session, path: str) -> None:
+    """Every state of the bundle as an array of its user's shape."""
+    import numpy as np
+    data = io.BytesIO()
+    np.savez(data, **{name: session.get(name) for name, value in session.values.items() if value["role"] == "state"})
+    write_file(path, data.getvalue())
+
+
+def _tell(metrics: dict, args) -> None:
+    if args.json:
+        print_json({k: x for k, x in metrics.items() if k != "losses"})
+        return
+    for name, p in metrics["phases"].items():
+        loss = f"loss {p['loss_first']:.5g} -> {p['loss_last']:.5g}, " if p.get("loss_last") is not None else ""
+        print(f"{name}: {p['steps']} steps, {loss}{p['ms_per_step']:.2f} ms a step, {p['seconds']:.1f} s")
+    if views := metrics.get("views"):
+        print("views: " + ", ".join(f"{key.replace('_', ' ')} {x:.4g}" for key, x in views.items()))
+    for key, x in metrics.get("report", {}).items():
+        print(f"  {key}: {x}")
+    if args.output:
+        names = metrics.get("files", {"states": os.path.basename(args.output)})
+        print(f"in {os.path.dirname(args.output) or '.'}: {' '.join(names.values())}")
