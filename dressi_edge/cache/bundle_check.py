@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from . import vulkan as v
 from .errors import BundleError
-from .layout import CHANNELS, KINDS, MAX_TABLE_WIDTH, is_int, table_size
+from .layout import CHANNELS, KINDS, MAX_TABLE_ROWS, is_int, table_size
 
 MAX_SIDE = 1 << 16
 MAX_ITEMS = 1 << 20
@@ -202,7 +202,7 @@ def _layout_size(value) -> tuple[int, int]:
     if kind == "unit":
         return 1, 1
     if kind == "table":
-        return table_size(count) if count <= MAX_TABLE_WIDTH * MAX_SIDE else (0, 0)
+        return table_size(count) if count <= MAX_TABLE_ROWS * MAX_SIDE else (0, 0)
     return (width, height) if kind == "image" else (width * columns, height * -(-count // columns))
 
 

@@ -9,7 +9,7 @@ from .errors import InputError
 
 CHANNELS = {"float": 1, "vec2": 2, "vec3": 3, "vec4": 4, "int": 1, "ivec2": 2, "ivec3": 3, "ivec4": 4}
 KINDS = ("unit", "table", "image", "atlas")
-MAX_TABLE_WIDTH = 4096
+MAX_TABLE_ROWS = 4096
 
 
 def is_int(vtype: str) -> bool:
@@ -17,9 +17,12 @@ def is_int(vtype: str) -> bool:
 
 
 def table_size(count: int) -> tuple[int, int]:
-    """Width and height of the image that holds `count` entries: a power-of-two width up to 4096 (addresses are a mask and a
-    shift), about four rows or more, so that little is padding."""
-    width = min(MAX_TABLE_WIDTH, 1 << max(0, (count // 4).bit_length() - 1))
+    """Width and height of the image that holds `count` entries: a power-of-two width (addresses are a mask and a shift), from 4 on,
+    while at most 4096 rows are needed. Tall and narrow, so that entries near each other in number share a block of pixels: what one
+    of them can skip the others mostly can too."""
+    width = 1 if count == 1 else 2 if count == 2 else 4
+    while -(-count // width) > MAX_TABLE_ROWS:
+        width *= 2
     return width, -(-count // width)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ..cache.profile import Profile
 from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
-from .optable import FILTERED, OWN, VERTEX
+from .optable import FILTERED, OWN, TILE, VERTEX
 from .guard import Guard
 from .pack import Substage
 
@@ -24,6 +24,14 @@ _HEAD = "#version 450\n#extension GL_EXT_samplerless_texture_functions : require
 FULLSCREEN = _HEAD + """void main() {
     gl_Position = vec4(vec2((gl_VertexIndex << 1) & 2, gl_VertexIndex & 2) * 2.0 - 1.0, 0.0, 1.0);
 }
+"""
+
+
+TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+ivec2 at = ivec2(tile % {across}, tile / {across});
+vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
+vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);
+gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 """
 
 
@@ -66,8 +74,9 @@ def hardware_filter(node: Node, profile: Profile) -> bool:
 
 
 class _Emitter:
-    def __init__(self, stage: Substage, profile: Profile):
+    def __init__(self, stage: Substage, profile: Profile, guard: Guard | None):
         self.stage, self.profile = stage, profile
+        self.tiled = guard.node if guard and guard.tile else None
         self.bindings: list[Binding] = []
         self.slots: dict[tuple[Node, str, str], int] = {}
         vertex = {x for x, m in stage.reads if m == VERTEX}
@@ -81,7 +90,8 @@ class _Emitter:
                 key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, SAMPLED, "")
                 if key not in self.slots:
                     self.slots[key] = len(self.bindings)
-                    self.bindings.append(Binding(x, key[1], x in vertex, x in fragment, key[2]))
+                    tiled = x is self.tiled
+                    self.bindings.append(Binding(x, key[1], x in vertex or tiled, x in fragment and not tiled, key[2]))
         self.values: dict[Node, str] = {}
         self.own: dict[int, None] = {}
 
@@ -121,6 +131,9 @@ class _Emitter:
                 names[param] = f"({text})" if text[0] == "-" else text
             elif mode == OWN:
                 names[param] = self.value(x)
+            elif mode == TILE:
+                width, height = node.attrs["tile"]
+                names[param] = "1" if x is self.tiled else f"T{self.slots[x, SAMPLED, '']}(pixel / ivec2({width}, {height}))"
             else:
                 slot = self.slots.get((x, SAMPLED, ""), self.slots.get((x, SAMPLER, node.attrs.get("wrap", ""))))
                 names[param], names[param + "_at"] = f"T{slot}", f"E{slot}"
@@ -149,7 +162,7 @@ class _Emitter:
     def pixel_body(self, guard: Guard | None) -> list[str]:
         for k, n in enumerate(self.stage.nodes):
             self.values[n] = f"v{k}"
-        if guard is None:
+        if guard is None or guard.tile:
             lines = self.block(self.stage.nodes)
             return self.loads() + lines
         first = self.block(guard.cone)
@@ -200,10 +213,16 @@ class _Emitter:
 
 def emit(stage: Substage, profile: Profile, guard: Guard | None = None) -> tuple[list[DrawCode], list[Binding]]:
     """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are discarded."""
-    e = _Emitter(stage, profile)
+    e = _Emitter(stage, profile, guard)
     if not stage.raster:
-        body = e.pixel_body(guard)
-        return [DrawCode(FULLSCREEN, e.fragment(body, []), 3)], e.bindings
+        fragment = e.fragment(e.pixel_body(guard), [])
+        if guard is None or guard.tile is None:
+            return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
+        slot, tiles = e.slots[guard.node, SAMPLED, ""], guard.node.extent
+        body = _mark(TILES, {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width, "h": stage.extent.height,
+                             "tiles": f"T{slot}"})
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", body, "}", ""])
+        return [DrawCode(vertex, fragment, 6 * tiles.count)], e.bindings
     node = stage.nodes[0]
     e.values[node] = "v0"
     attrs, draws = node.attrs, []

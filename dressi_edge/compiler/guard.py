@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .ir import Node, is_int
+from .optable import TILE
 from .pack import Substage
 
 MIN_COST = 40  # work worth a test
@@ -18,11 +19,13 @@ MIN_COST = 40  # work worth a test
 
 @dataclass(frozen=True)
 class Guard:
-    """Where `node` is 0 output k is `constants[k]` in every channel: 0, or -1 for integers. `cone`: what computes the node."""
+    """Where `node` is 0 output k is `constants[k]` in every channel: 0, or -1 for integers. `cone`: what computes the node here.
+    `tile`: the node comes from outside and has one texel for so many of the substage's; whole tiles are then left undrawn."""
 
     node: Node
     cone: tuple[Node, ...]
     constants: tuple[int, ...]
+    tile: tuple[int, int] | None = None
 
 
 def _constant(node: Node, known: dict[Node, np.ndarray]) -> np.ndarray | None:
@@ -65,8 +68,10 @@ def find_guard(stage: Substage) -> Guard | None:
     total = sum(n.op.cost for n in stage.nodes)
     conditions = {n.inputs[0] for n in stage.nodes if n.op.name == "select"}
     conditions |= {n.inputs[k] for n in stage.nodes for k, _ in n.op.absent}
+    tiles = {x: n.attrs["tile"] for n in stage.nodes for k, x in enumerate(n.inputs) if n.op.read(k) == TILE}
     best = None
-    for c in sorted((c for c in conditions if is_int(c.vtype) and c.channels == 1 and c.extent == stage.extent), key=lambda n: n.serial):
+    for c in sorted((c for c in conditions if is_int(c.vtype) and c.channels == 1 and (c.extent == stage.extent or c in tiles)),
+                    key=lambda n: n.serial):
         known: dict[Node, np.ndarray] = {c: np.zeros(1, np.int64)}
         for n in stage.nodes:
             if n is not c:
@@ -79,5 +84,5 @@ def find_guard(stage: Substage) -> Guard | None:
         cone = _cone(c, inside, stage.nodes) if c in inside else ()
         saved = total - sum(n.op.cost for n in cone)
         if saved >= MIN_COST and (best is None or saved > best[0]):
-            best = (saved, Guard(c, cone, tuple(int(x[0]) for x in constants)))
+            best = (saved, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
     return best and best[1]

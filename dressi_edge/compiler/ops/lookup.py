@@ -11,8 +11,9 @@ import functools
 import numpy as np
 
 from ...cache.errors import GraphError
-from ..ir import UNIT, Data, Extent, Node, image, table
+from ..ir import UNIT, Data, Extent, Node, table
 from ..optable import Loop, apply, at, op
+from .reduce import TILE
 
 MAX_ROW = 64  # longer rows are summed in two levels, to keep every lane busy
 
@@ -129,11 +130,12 @@ op("weighted_gather_sum", "x rows cols weights", infer=at(1), reads="texel own t
    doc="A constant sparse matrix times a table.")
 
 
-def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> Node:
+def lookup(entries: Node, index: Node | np.ndarray, bounds: tuple[Node, Node] | None = None) -> Node:
     """`y = entries[index]`, zero where the index is negative.
 
-    A constant index (array of n) has its exact transpose at compile time. A computed index needs `box`, for each entry the
-    half-open pixel box (x0, y0, x1, y1) that holds every pixel naming it, or no gradient is asked for.
+    A constant index (array of n) has its exact transpose at compile time. A computed index needs `bounds`: for each
+    entry the half-open pixel box (x0, y0, x1, y1) that holds every pixel naming it, and an image that is not zero for each tile of 16 x 16
+    pixels that has such pixels; or no gradient is asked for.
     """
     if not isinstance(index, Node):
         index = np.asarray(index).reshape(-1)
@@ -143,10 +145,10 @@ def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> 
         index = constant_table(index.astype(np.int64), -1)
     if entries.extent == UNIT and index.op.name == "constant" and (index.attrs["data"].array.reshape(-1)[:index.extent.count] == 0).all():
         return apply("broadcast", entries, extent=index.extent)
-    return apply("lookup", entries, index) if box is None else apply("lookup_boxed", entries, index, box)
+    return apply("lookup", entries, index) if bounds is None else apply("lookup_boxed", entries, index, *bounds)
 
 
-def _lookup_ref(entries, index, box=None):
+def _lookup_ref(entries, index, box=None, occupied=None):
     flat = entries.reshape(-1, entries.shape[2])
     return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
 
@@ -156,8 +158,8 @@ def _lookup_vjp(g, y, entries, index):
         own = apply("texel_index", extent=entries.extent)
         return apply("select", apply("equal", own, index), g, 0.0), None
     if index.op.name != "constant":
-        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() the box of pixels "
-                         "of each entry, or cut the path with stop_gradient")
+        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() its bounds,"
+                         " , or cut the path with stop_gradient")
     flat = index.attrs["data"].array.reshape(-1)[:index.extent.count]
     rows, cols, _ = _rows_of(flat, entries.extent.count)
     return gather_sum(g, rows, cols), None
@@ -175,16 +177,7 @@ op("lookup", "entries index", absorbs_negative=(1,), infer=at(1), reads="texel o
 def _boxed_sample(rng):
     index = rng.integers(-1, 6, (8, 9, 1))
     box = np.tile(np.array([0, 0, 9, 8]), (6, 1))
-    return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
-
-
-def _segment_sum(values: Node, index: Node, box: Node) -> Node:
-    return apply("segment_sum", values, index, box, apply("box_occupied", box, apply("occupied", index)))
-
-
-def _box_occupied_ref(box, occupied):
-    hit = [occupied[y0 // TILE:-(-y1 // TILE), x0 // TILE:-(-x1 // TILE)].any() for x0, y0, x1, y1 in box.reshape(-1, 4)]
-    return np.array(hit, np.int64).reshape(*box.shape[:2], 1)
+    return [to_table(rng.normal(size=(6, 3))), index, to_table(box), np.ones((1, 1, 1), np.int64)], {}
 
 
 def _segment_ref(values, index, box, active):
@@ -192,43 +185,38 @@ def _segment_ref(values, index, box, active):
     ys, xs = np.nonzero(index[..., 0] >= 0)
     entry = index[ys, xs, 0]
     b = box.reshape(-1, 4)[entry]
-    inside = (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])
+    inside = (active.reshape(-1)[entry] != 0) & (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])
     np.add.at(out, entry[inside], np.broadcast_to(values, index.shape[:2] + values.shape[2:])[ys, xs][inside])
     return out.reshape(box.shape[0], box.shape[1], -1)
 
 
-op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8, glsl=_LOOKUP,
-   vjp=lambda g, y, entries, index, box: (_segment_sum(g, index, box), None, None),
-   sample=_boxed_sample,
-   doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
-TILE = 8  # pixels a side of an occupancy tile
+op("lookup_boxed", "entries index box occupied", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel", ref=_lookup_ref, cost=8,
+   glsl=_LOOKUP, sample=_boxed_sample,
+   vjp=lambda g, y, entries, index, box, occupied: (
+       apply("segment_sum", g, index, box, apply("box_occupied", box, occupied)), None, None, None),
+   doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it, `occupied` says which tiles of the "
+       "atlas have such pixels at all.")
 
 
-def _occupied_ref(index):
-    h, w, _ = index.shape
-    padded = np.full((-(-h // TILE) * TILE, -(-w // TILE) * TILE), -1)
-    padded[:h, :w] = index[..., 0]
-    return (padded.reshape(padded.shape[0] // TILE, TILE, -1, TILE).max((1, 3)) >= 0).astype(np.int64)[..., None]
+def _box_occupied_ref(box, occupied):
+    def hit(x0, y0, x1, y1):
+        return occupied[y0 // TILE:-(-y1 // TILE), x0 // TILE:-(-x1 // TILE)].any() if x1 > x0 and y1 > y0 else False
+
+    return np.reshape([hit(*b) for b in box.reshape(-1, 4)], (*box.shape[:2], 1)).astype(np.int64)
 
 
-op("occupied", "index", infer=lambda name, inputs, attrs: ("int", image(-(-inputs[0].extent.width // TILE), -(-inputs[0].extent.height // TILE))),
-   reads="texel", ref=_occupied_ref, cost=64,
-   glsl=f"""{{ ivec2 lo_ = {{p}} * {TILE}, hi_ = min(lo_ + {TILE}, ivec2({{index_w}}, {{index_h}}));
-    int best_ = -1;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {{index}}(ivec2(a_, b_)));
-    {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {}),
-   doc="1 for each tile of 8 x 8 pixels in which some index is not negative.")
-op("box_occupied", "box occupied", infer=at(0, vtype="int"), reads="own texel", cost=20,
-   ref=lambda box, occupied: _box_occupied_ref(box, occupied), glsl=f"""{{y}} = 0;
-for (int b_ = {{box}}.y / {TILE}; b_ * {TILE} < {{box}}.w; ++b_) for (int a_ = {{box}}.x / {TILE}; a_ * {TILE} < {{box}}.z; ++a_)
-    {{y}} |= {{occupied}}(ivec2(a_, b_));""",
-   sample=lambda rng: ([to_table(np.array([[0, 0, 9, 8], [9, 9, 12, 10], [0, 0, 0, 0]])), np.array([[0, 1], [0, 0]])[..., None]], {}),
-   doc="1 where some tile of the pixel box is occupied.")
+op("box_occupied", "box occupied", infer=at(0, vtype="int"), reads="own texel", cost=20, ref=_box_occupied_ref, glsl=f"""{{y}} = 0;
+if ({{box}}.z > {{box}}.x)
+    for (int b_ = {{box}}.y / {TILE}; b_ * {TILE} < {{box}}.w; ++b_) for (int a_ = {{box}}.x / {TILE}; a_ * {TILE} < {{box}}.z; ++a_)
+        {{y}} |= {{occupied}}(ivec2(a_, b_));""",
+   sample=lambda rng: ([to_table(np.array([[0, 0, 9, 8], [20, 9, 30, 10], [0, 0, 0, 0]])), np.array([[0, 1], [0, 0]])[..., None]], {}),
+   doc="1 where some tile of the atlas that the pixel box touches is occupied.")
+
+_BOX = ("for (int b_ = {box}.y, y_ = {active} != 0 ? {box}.w : 0; b_ < y_; ++b_) for (int a_ = {box}.x; a_ < {box}.z; ++a_) { "
+        "ivec2 q_ = ivec2(a_, b_); if ({index}(q_) == {i}) {")
 op("segment_sum", "values index box active", infer=at(2), reads="texel texel own own", ref=_segment_ref, cost=400, absent=((3, 0),),
-   vjp=lambda g, y, values, index, box, active: (apply("lookup_boxed", g, index, box), None, None, None),
-   loop=Loop("for (ivec2 q_ = {box}.xy, z_ = {active} != 0 ? {box}.zw : ivec2(0); q_.y < z_.y; "
-             "q_ = q_.x + 1 < z_.x ? ivec2(q_.x + 1, q_.y) : ivec2({box}.x, q_.y + 1)) if ({index}(q_) == {i}) {",
-             "{y} += {values}(q_);"),
+   vjp=lambda g, y, values, index, box, active: (apply("lookup", g, index), None, None, None),
+   loop=Loop(_BOX, "{y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), to_table(np.ones(6, np.int64))], {}),
    doc="Transpose of lookup_boxed: for each active entry the sum over its box of the pixels that name it, in row-major order.")

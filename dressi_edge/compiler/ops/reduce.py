@@ -77,22 +77,85 @@ def _window_ref(a, dx, dy, cell_w, cell_h):
     return out.reshape(a.shape)
 
 
-op("window_or", "a", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel", ref=_window_ref, cost=30,
-   glsl="""{ ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_h});
-    ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));
-    {y} = 0;
-    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {y} |= {a}(ivec2(a_, b_)); }""",
-   sample=lambda rng: ([(rng.random((12, 10, 1)) < 0.1).astype(np.int64) * 5], {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6}),
-   doc="Bitwise or over a window of 2 dx + 1 by 2 dy + 1 pixels that stays in the pixel's view: edge detection and dilation.")
+TILE = 16  # pixels a side of a tile of the atlas
 
 
-op("hard_window", "code", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel", cost=30,
-   ref=lambda code, **attrs: _window_ref(np.where((code[..., :1] >= 0) & (code[..., :1] & 1 == 1), 2, 1), **attrs),
-   glsl=lambda node: """{ ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_h});
-    ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));
+def tiles_of(extent: Extent, width: int = TILE, height: int = TILE) -> Extent:
+    """The extent of an image with one texel a tile."""
+    return image(-(-extent.width // width), -(-extent.height // height))
+
+
+def spread(tiles: np.ndarray, width: int, height: int, tile: tuple[int, int]) -> np.ndarray:
+    """Tiles (th, tw, 1) at every texel of a width x height image."""
+    return tiles.repeat(tile[1], 0).repeat(tile[0], 1)[:height, :width]
+
+
+def _padded_tiles(a: np.ndarray, fill: int) -> np.ndarray:
+    h, w = a.shape[:2]
+    out = np.full((-(-h // TILE) * TILE, -(-w // TILE) * TILE), fill, a.dtype)
+    out[:h, :w] = a
+    return out.reshape(out.shape[0] // TILE, TILE, -1, TILE)
+
+
+def _covered_tiles_ref(code):
+    return (_padded_tiles(code[..., 0], -1).max((1, 3)) >= 0).astype(np.int64)[..., None]
+
+
+op("covered_tiles", "code", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent)), reads="texel", ref=_covered_tiles_ref, cost=256,
+   glsl=lambda node: f"""{{ ivec2 lo_ = {{p}} * {TILE}, hi_ = min(lo_ + {TILE}, ivec2({{code_w}}, {{code_h}}));
+    int best_ = -1;
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_)
+        best_ = max(best_, {{code}}(ivec2(a_, b_)){"" if node.inputs[0].channels == 1 else ".x"});
+    {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-300, 2, (20, 35, 1))], {}),
+   doc="1 for tiles of a raster code that hold some face.")
+
+
+def _edge_tiles_ref(code, reach):
+    bits = np.where((code[..., 0] >= 0) & (code[..., 0] & 1 == 1), 2, 1)
+    h, w = bits.shape
+    out = [[np.bitwise_or.reduce(bits[max(y - reach, 0):y + TILE + reach, max(x - reach, 0):x + TILE + reach], axis=None) == 3
+            for x in range(0, w, TILE)] for y in range(0, h, TILE)]
+    return np.array(out, np.int64)[..., None]
+
+
+op("edge_tiles", "code", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent)), reads="texel", ref=_edge_tiles_ref, cost=400,
+   glsl=lambda node: f"""{{ ivec2 lo_ = max({{p}} * {TILE} - {{reach}}, ivec2(0)), hi_ = min({{p}} * {TILE} + ({TILE} + {{reach}}), ivec2({{code_w}}, {{code_h}}));
+    int near_ = 0;
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
+        int s_ = {{code}}(ivec2(a_, b_)){"" if node.inputs[0].channels == 1 else ".x"};
+        near_ |= s_ >= 0 && (s_ & 1) == 1 ? 2 : 1; }}
+    {{y}} = near_ == 3 ? 1 : 0; }}""",
+   sample=lambda rng: ([np.where(np.add.outer(np.arange(20), np.arange(35)) > 30, 3, -1)[..., None]], {"reach": 2}),
+   doc="1 for tiles that have hard and other pixels within `reach` pixels: only those can hold pixels of the edge mask.")
+
+_BOUNDS = """ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_h});
+    ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));"""
+
+
+def _hard_window_ref(code, tiles, tile, **attrs):
+    hard = np.where((code[..., :1] >= 0) & (code[..., :1] & 1 == 1), 2, 1)
+    return _window_ref(hard, **attrs) * spread(tiles, code.shape[1], code.shape[0], tile)
+
+
+def _edge_mask_ref(across, tiles, tile, **attrs):
+    return ((_window_ref(across, **attrs) == 3) & (spread(tiles, across.shape[1], across.shape[0], tile) != 0)).astype(np.int64)
+
+
+op("hard_window", "code tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=50, absent=((1, 0),),
+   ref=_hard_window_ref,
+   glsl=lambda node: "{ " + _BOUNDS + """
     {y} = 0;
     for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {
-        int s_ = {code}(ivec2(a_, b_))CHANNEL; {y} |= s_ >= 0 && (s_ & 1) == 1 ? 2 : 1; } }""".replace(
-       "CHANNEL", "" if node.inputs[0].channels == 1 else ".x"),
-   sample=lambda rng: ([rng.integers(-1, 9, (12, 10, 1))], {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6}),
-   doc="window_or of the frontal stencil S^H of a raster code: bit 1 where a hard face is in the window, bit 0 where none is.")
+        int s_ = {code}(ivec2(a_, b_))CHANNEL; {y} |= s_ >= 0 && (s_ & 1) == 1 ? 2 : 1; }
+    if ({tiles} == 0) {y} = 0; }""".replace("CHANNEL", "" if node.inputs[0].channels == 1 else ".x"),
+   sample=lambda rng: ([rng.integers(-1, 9, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
+                       {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
+   doc="Window of the frontal stencil S^H of a raster code: bit 1 where a hard face is in it, bit 0 where a pixel without one is.")
+op("edge_mask", "across tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=30, absent=((1, 0),),
+   ref=_edge_mask_ref, glsl="{ " + _BOUNDS + """
+    int near_ = 0;
+    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) near_ |= {across}(ivec2(a_, b_));
+    {y} = near_ == 3 && {tiles} != 0 ? 1 : 0; }""",
+   sample=lambda rng: ([rng.integers(1, 4, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
+                       {"dx": 0, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
+   doc="Edge mask E (paper 3.4.3): hard and other pixels in the window. Rows first by hard_window, then columns here.")
