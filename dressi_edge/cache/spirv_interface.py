@@ -132,6 +132,8 @@ class _Module:
     def _functions(self, start: int) -> None:
         """Every instruction of the functions is known, its ids are within the bound, and what is called is there."""
         words, end, steps = self.words, len(self.words), _Steps()
+        if self.stage is None:
+            self.fail("has no entry point")
         at, n, step, noted, sound = start, 0, 0, [], True
         try:
             while at < end:  # the one loop over all instructions: whatever else there is to do is done at C's speed
@@ -341,8 +343,6 @@ class _Module:
 
     def interface(self) -> Interface:
         stage = self.stage
-        if stage is None:
-            self.fail("has no entry point")
         if stage == v.STAGE_FRAGMENT and 7 not in self.modes:
             self.fail("is a fragment shader without OriginUpperLeft")
         bindings: dict[int, tuple[int, bool, int]] = {}
