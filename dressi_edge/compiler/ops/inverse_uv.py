@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...cache.errors import GraphError
-from ..ir import UNIT, is_int
+from ..ir import UNIT, image, is_int
 from ..optable import Draw, apply, op
+from .lookup import constant
 from .texture import WRAPS, _infer, _sample_glsl, _sample_ref, _wrap
 
 BITS = 30
@@ -77,6 +78,11 @@ def _inverse_ref(uv, covered, offset, extent, wrap, pixels, **_):
     return out.reshape(extent.height, extent.width, 1)
 
 
+def _points(rng):
+    return [rng.uniform(-1, 2, (6, 5, 2)), rng.integers(0, 2, (6, 5, 1)), np.array([[[0.25, 0.75]]])], {
+        "extent": image(4, 3), "wrap": "repeat", "pixels": 29, "cell_w": 4, "cell_h": 3, "columns": 1, "views": 1}
+
+
 _POINT = """
 found = gl_VertexIndex;
 gl_PointSize = 1.0;
@@ -88,7 +94,7 @@ if ({covered_at}(gl_VertexIndex) != 0) {
 }
 """
 op("inverse_uv", "uv covered offset", infer=_inverse_infer, reads="vertex vertex vertex", stage="raster", ref=_inverse_ref,
-   cost=300,
+   cost=300, sample=_points,
    functions="""
 ivec2 repeat_texel(ivec2 k, ivec2 size) { return (k % size + size) % size; }
 ivec2 clamp_texel(ivec2 k, ivec2 size) { return clamp(k, ivec2(0), size - 1); }
@@ -113,8 +119,13 @@ def _step_infer(name, inputs, attrs):
     return _infer(name, inputs, attrs)
 
 
+def _centres(rng):
+    """Each pixel at the centre of a texel of its own: here the gradient of the texture is exact."""
+    uv = np.stack(np.meshgrid((rng.permutation(8) + 0.5) / 8, (rng.permutation(4) + 0.5) / 4), 2)
+    return [rng.normal(size=(4, 8, 3)), constant(uv), np.ones((4, 8, 1), np.int64), np.array([[[3]]])], {"wrap": "repeat"}
+
+
 op("sample_inverse", "texture uv covered step", infer=_step_infer, reads="filtered own own own", cost=40, glsl=_sample_glsl,
    ref=lambda texture, uv, covered, step, wrap: _sample_ref(texture, uv, wrap), vjp=_inverse_vjp,
-   sample=lambda rng: ([rng.normal(size=(5, 4, 3)), rng.uniform(-0.4, 1.4, (6, 5, 2)), np.ones((6, 5, 1), np.int64),
-                        np.array([[[3]]])], {"wrap": "repeat"}),
+   sample=_centres,
    doc="Bilinear sample of a texture that is optimized; the texture's gradient is by design the stochastic one of Algorithm 1.")
