@@ -17,7 +17,8 @@ from dressi_edge.cache.bundle_check import check_description
 from dressi_edge.cache.errors import BundleError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import LIMITS, Profile, profile_names
-from dressi_edge.cache.spirv_interface import check_shaders, parse
+from dressi_edge.cache.shader_check import check_shaders
+from dressi_edge.cache.spirv_interface import parse
 from dressi_edge.cache.verify import violations
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.optable import apply
