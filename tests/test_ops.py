@@ -12,15 +12,17 @@ import pytest
 from corpus import icosahedron, project, rotation
 from graphs import image_layout, layout_of, rounded
 
+from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.autodiff import gradients
 from dressi_edge.compiler.functions import apply, compose, constant_table, dot, gather_sum, lookup, normalize, select, total
-from dressi_edge.compiler.ir import Node, is_int
+from dressi_edge.compiler.ir import Node, is_int, topological
 from dressi_edge.compiler.ir import image as image_extent
 from dressi_edge.compiler.ops.arithmetic import _compare
 from dressi_edge.compiler.ops.lookup import to_table
 from dressi_edge.compiler.optable import OPS, elementwise
 from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
 from dressi_edge.compiler.topology import Topology
 
 pytest_plugins = ["gpu"]
@@ -28,8 +30,8 @@ pytest_plugins = ["gpu"]
 WITHOUT_INPUTS = {"texel_index": {"extent": image_extent(6, 4)},
                   "cell_position": {"extent": image_extent(10, 12), "cell_w": 5, "cell_h": 4},
                   "cell_index": {"extent": image_extent(10, 12), "cell_w": 5, "cell_h": 4}}
-SNIPPETS = [o for o in OPS.values() if o.stage == "pixel"]
-RASTER = [o for o in OPS.values() if o.stage == "raster"]
+RASTER = [o for o in OPS.values() if o.stage == "raster" and o.params[:2] == ("clip", "faces")]
+SNIPPETS = [o for o in OPS.values() if o.stage == "pixel" or o.stage == "raster" and o not in RASTER]
 GRADIENTS = [o for o in OPS.values() if o.vjp is not None]
 ids = {"ids": lambda o: o.name}
 
@@ -50,6 +52,13 @@ def sample(o):
         codes = rng.integers(-1, 2 * faces * views, (6, 8, 1))
         return [codes, constant_table(rng.integers(0, edges, (faces, 3))), to_table(rng.normal(size=(edges * views, 4))),
                 rng.normal(size=(6, 8, 2))], {"face_count": faces, "edge_count": edges}
+    if o.name == "fold_segments":
+        edges, views, vertices = 7, 2, 6
+        ends = np.array([rng.permutation(vertices)[:4] for _ in range(edges)])
+        ends[2, 3] = -1
+        segments = to_table(np.concatenate([rng.normal(size=(edges * views - 1, 4)), np.full((1, 4), 1e9)]))
+        return [segments, to_table(rng.normal(size=(vertices * views, 4))), constant_table(ends)], {
+            "edge_count": edges, "vertices": vertices}
     if o.sample:
         return o.sample(rng)
     return [rng.normal(size=(4, 5, 3)) for _ in o.params], {}
@@ -60,7 +69,9 @@ def test_every_row_has_its_place_in_these_tests():
     assert leaves == {"literal", "constant", "input", "state", "cached"}
     assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "composite"}
     assert [o.name for o in OPS.values() if o.stage == "composite"] == ["sum"]
-    assert {o.name for o in RASTER} == {"rasterize", "rasterize_first", "rasterize_peel", "rasterize_folds"}
+    assert {"rasterize", "rasterize_first", "rasterize_peel", "rasterize_folds"} == {o.name for o in RASTER}
+    tested = {o.name for o in (*SNIPPETS, *RASTER)} | leaves | {"sum"}
+    assert tested == OPS.keys()
 
 
 # Gradients
@@ -126,6 +137,10 @@ LOOKUPS = {
 @pytest.mark.parametrize("name", LOOKUPS)
 def test_a_lookup_has_its_exact_transpose(name):
     check_gradients(name, [to_table(seeded(name).normal(size=(9, 3)))], {}, build=LOOKUPS[name])
+
+
+def test_entries_may_be_an_image_of_any_size():
+    check_gradients("image", [seeded("image").normal(size=(5, 7, 3))], {}, build=lambda x: lookup(x, np.arange(60) % 35))
 
 
 def test_a_lookup_by_a_computed_index_of_one_has_its_transpose():
@@ -213,6 +228,13 @@ def cases():
     out["sum_channels", "int"] = Case([ints], {}, 0)
     out["block_sum", "int"] = Case([ints], {"bw": 32, "bh": 32, "count": 20}, 0)
     out["lookup", "int"] = Case([ints, rng.integers(-2, 20, (6, 7, 1))], {}, 0)
+    sparse = np.where(rng.random((20, 35, 1)) < 0.02, rng.integers(0, 6, (20, 35, 1)), -1)
+    sparse[8:16, 8:24] = -1
+    boxes = to_table(np.array([[0, 0, 35, 20], [3, 5, 30, 17], [8, 8, 24, 16], [9, 1, 9, 19], [34, 19, 35, 20], [0, 0, 8, 20]]))
+    occupied = OPS["occupied"].ref(sparse)
+    assert 0 < occupied.mean() < 1
+    out["occupied", "sparse"] = Case([sparse], {}, 0)
+    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, occupied], {}, DEFAULT_RTOL)
     out["fetch", "outside"] = Case([rng.normal(size=(4, 5, 2)), rng.integers(-9, 20, (6, 7, 2))], {}, 0)
     uv = np.array([0.0, 1.0, -1.0, 2.0, 0.5, 1 / 16, 1 - 1 / 16, -0.26, 1.37, 7.77])
     uv = np.stack(np.meshgrid(uv, uv), 2)
@@ -295,7 +317,7 @@ AT_ZERO = {  # function of a and b (both 0), gradients by a and b
     "sqrt_of_square": (lambda a, b: apply("sqrt", a * a) + b, (0, 1)), "atan2": (lambda a, b: apply("atan2", a, b), (0, 0)),
     "pow": (lambda a, b: apply("pow", a, b + 2.0), (0, 0)), "sigmoid": (lambda a, b: apply("sigmoid", a - b), (0.25, -0.25)),
     "min_tie": (lambda a, b: apply("min", a, b), (1, 0)), "max_tie": (lambda a, b: apply("max", a, b), (1, 0)),
-    "normalize": (lambda a, b: normalize(compose(a, b, 0.0)).x * 1e-10, (1, 0)),
+    "normalize": (lambda a, b: normalize(compose(a, b, 0.0)).x, (0, 0)),
 }
 
 
@@ -324,24 +346,20 @@ def raster(gpu):
     w, h, r, near = 20, 18, 2.5, 0.1
     ball, faces = icosahedron()
     clips = [project(0.9 * ball @ rotation(k).T + (0.1 * k, 0.04, -3.3), (w, h), near) for k in (2, 3, 4)]
-    topology = Topology(faces, len(ball))
+    topology, atlas = Topology(faces, len(ball)), Atlas(w, h, 3, 2)
     program = Program()
     table = to_table(np.concatenate(clips))
-    clip = program.input("clip", image_layout(table))
-    attrs = {"extent": image_extent(2 * w, 2 * h), "cell_w": w, "cell_h": h, "columns": 2, "views": 3, "vertices": len(ball),
-             "face_count": len(faces), "radius": r, "near": near}
-    corners = constant_table(topology.sorted_faces)
-    nodes = {"rasterize": apply("rasterize", clip, corners, **attrs),
-             "rasterize_first": apply("rasterize_first", clip, corners, **attrs),
-             "rasterize_folds": apply("rasterize_folds", clip, corners, constant_table(topology.edge_vertices),
-                                      constant_table(topology.edge_faces), edge_count=len(topology.edges), **attrs)}
-    nodes["rasterize_peel"] = apply("rasterize_peel", clip, corners, nodes["rasterize_first"], **attrs)
+    clip = program.input("clip", Layout("table", "vec4", count=len(ball) * 3))
+    found = topological([Layers(clip, topology, atlas, softness, near).layers[-1].face for softness in
+                         (Softness(r), Softness(r, folds=False), Softness(r, layers=2))])
+    nodes = {n.op.name: n for n in found if n.op in RASTER}
+    assert len(nodes) == len(RASTER)
     program.plan("p", {}, {name: (y, layout_of(y)) for name, y in nodes.items()})
     feed = {"clip": rounded(table)}
     chosen = [brute_force.select(rounded(c), faces, (w, h), r, layers=2, near=near) for c in clips]
     margin = [[s.margins.color for s in chosen], [s.margins.value for s in chosen]]
-    atlas = [np.block([[m[0], m[1]], [m[2], np.full((h, w), np.inf)]]) for m in margin]
-    return gpu.run(program, feed), dict(zip(nodes, evaluate(nodes.values(), feed))), atlas
+    sure = [np.block([[m[0], m[1]], [m[2], np.full((h, w), np.inf)]]) for m in margin]
+    return gpu.run(program, feed), dict(zip(nodes, evaluate(nodes.values(), feed))), sure
 
 
 @pytest.mark.parametrize("o", RASTER, **ids)

@@ -13,7 +13,7 @@ import msgpack
 from . import vulkan as v
 from .bundle_check import check_description
 from .errors import BundleError
-from .spirv_interface import check_shaders
+from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
 VERSION = 1

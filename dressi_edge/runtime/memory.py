@@ -62,7 +62,8 @@ class Images:
             depth = r["format"] == 0
             self.views.append([vk.CreateImageView(self.device.device, vk.VkImageViewCreateInfo(
                 image=h, viewType=vk.VK_IMAGE_VIEW_TYPE_2D, format=r["format"] or depth_format,
-                subresourceRange=(ASPECT[depth], 0, 1, 0, 1))) for h in handles])
+                subresourceRange=(ASPECT[depth], 0, 1, 0, 1))) for h in handles
+                if r["usage"] & ~(v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST)])  # a value that no plan reads has none
 
     def close(self) -> None:
         for views in self.views:

@@ -105,11 +105,16 @@ def _gather_ref(x, rows, cols, weights=None):
     return out.reshape(rows.shape[0], rows.shape[1], -1)
 
 
+def _laid_out(entries: Node, extent: Extent) -> Node:
+    """A table of as many entries in another extent, row by row."""
+    return entries if entries.extent == extent else apply("lookup", entries, apply("texel_index", extent=extent))
+
+
 def _gather_vjp(g, y, x, rows, cols, weights=None):
     if rows.op.name != "constant" or cols.op.name != "constant":
         raise GraphError("gather_sum: rows and columns must be constants for a gradient")
     parts = _transpose(rows.attrs["data"], cols.attrs["data"], weights and weights.attrs["data"], rows.extent.count, x.extent.count)
-    return (gather_sum(g, *parts),) + (None,) * (2 if weights is None else 3)
+    return (_laid_out(gather_sum(g, *parts), x.extent),) + (None,) * (2 if weights is None else 3)
 
 
 def _gather_sample(weighted):
@@ -162,7 +167,7 @@ def _lookup_vjp(g, y, entries, index):
                          " , or cut the path with stop_gradient")
     flat = index.attrs["data"].array.reshape(-1)[:index.extent.count]
     rows, cols, _ = _rows_of(flat, entries.extent.count)
-    return gather_sum(g, rows, cols), None
+    return _laid_out(gather_sum(g, rows, cols), entries.extent), None
 
 
 def _lookup_sample(rng):

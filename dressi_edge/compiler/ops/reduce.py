@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...cache.errors import GraphError
 from ..ir import UNIT, Extent, Node, image
 from ..optable import Loop, apply, op
 
@@ -58,7 +59,13 @@ def lower_sum(a: Node, count: int) -> Node:
     return a
 
 
-op("broadcast", "a", infer=lambda name, inputs, attrs: (inputs[0].vtype, attrs["extent"]), cost=0, glsl="{y} = {a};",
+def _broadcast_infer(name, inputs, attrs):
+    if inputs[0].extent not in (UNIT, attrs["extent"]):
+        raise GraphError(f"broadcast: {inputs[0]!r} to {attrs['extent']}; only 1x1 can be broadcast")
+    return inputs[0].vtype, attrs["extent"]
+
+
+op("broadcast", "a", infer=_broadcast_infer, cost=0, glsl="{y} = {a};",
    ref=lambda a, extent: np.broadcast_to(a, (extent.height, extent.width, a.shape[2])), vjp=lambda g, y, a, extent: (g,),
    sample=lambda rng: ([rng.normal(size=(1, 1, 3))], {"extent": Extent(5, 4, 20)}),
    doc="A 1 x 1 value at every texel.")

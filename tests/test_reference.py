@@ -1,0 +1,105 @@
+"""The float64 executor: what it refuses, and its rasterization against the brute-force oracle."""
+
+import brute_force
+import numpy as np
+import pytest
+from corpus import scenes
+from graphs import Graph
+
+from dressi_edge.cache.errors import GraphError
+from dressi_edge.cache.layout import Layout
+from dressi_edge.compiler import Program
+from dressi_edge.compiler.functions import constant, mean, total
+from dressi_edge.compiler.ir import table, topological
+from dressi_edge.compiler.ops.lookup import to_table
+from dressi_edge.compiler.optable import OPS
+from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.topology import Topology
+
+RADIUS = 3.0
+
+
+def test_a_missing_value_is_named():
+    x = Program().input("depth", Layout("image", "float", 3, 2))
+    with pytest.raises(GraphError, match="no value for input depth"):
+        evaluate([x + 1.0], {"other": np.zeros((2, 3, 1))})
+
+
+@pytest.mark.parametrize("shape", [(3, 2, 1), (2, 3), (2, 3, 3), (), (1, 1, 1)])
+def test_a_value_of_another_shape_is_refused_with_both_shapes(shape):
+    x = Program().input("depth", Layout("image", "float", 3, 2))
+    with pytest.raises(GraphError, match=r"depth has shape .* \(2, 3, 1\) is needed"):
+        evaluate([x], {"depth": np.zeros(shape)})
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_value_has_its_nodes_type_and_shape(seed):
+    graph = Graph(seed)
+    for node, value in zip(graph.nodes, evaluate(graph.nodes, graph.feed)):
+        assert value.shape == (node.extent.height, node.extent.width, node.channels)
+        assert value.dtype == (np.int64 if node.vtype.startswith("i") else np.float64)
+        assert np.isfinite(value).all()
+
+
+def test_padding_is_never_counted():
+    layout = Layout("table", "vec3", count=9)
+    x = Program().input("x", layout)
+    assert x.extent == table(9) and x.extent.width * x.extent.height > 9
+    values = np.random.default_rng(0).normal(size=(9, 3))
+    feed = layout.to_image(values, "x")
+    feed.reshape(-1, 3)[9:] = 1e9
+    np.testing.assert_allclose(evaluate([total(x), mean(x)], {"x": feed})[0][0, 0], values.sum(0))
+    np.testing.assert_allclose(evaluate([mean(x)], {"x": feed})[0][0, 0], values.mean(0))
+
+
+def test_one_by_one_stands_for_any_extent():
+    x = Program().input("x", Layout("unit", "vec3"))
+    y, = evaluate([constant(np.ones((2, 5, 1))) * x], {"x": np.array([[[1.0, 2.0, 3.0]]])})
+    np.testing.assert_array_equal(y, np.broadcast_to([1.0, 2.0, 3.0], (2, 5, 3)))
+
+
+# Rasterization
+
+
+def layers_of(scene, layers):
+    """Codes (h, w, layers) of the reference's raster ops."""
+    w, h = scene.size
+    topology = Topology(np.asarray(scene.faces), len(scene.clip))
+    clip, atlas = constant(to_table(scene.clip), table(len(scene.clip))), Atlas(w, h, 1, 1)
+    found = {}
+    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, folds=False)):
+        for n in topological([layer.face for layer in Layers(clip, topology, atlas, softness, scene.near).layers]):
+            if n.op.stage == "raster":
+                found.setdefault(n.op.name, []).append(n)
+    *peels, single, folds = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
+                                      *found["rasterize_folds"]])
+    assert len(peels) == layers
+    np.testing.assert_array_equal(single[..., 0], peels[0][..., 0])
+    np.testing.assert_array_equal(folds, single)
+    return np.stack([p[..., 0] for p in peels], 2)
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_peels_are_the_layers_of_the_oracle(name):
+    scene = scenes()[name]
+    codes = layers_of(scene, 5)
+    expected = brute_force.select(scene.clip, scene.faces, scene.size, RADIUS, layers=5, near=scene.near)
+    found, hard = np.where(codes >= 0, codes >> 1, -1), (codes >= 0) & (codes & 1 == 1)
+    sure = expected.margins.color > 1e-9
+    np.testing.assert_array_equal(found[sure], expected.face[sure])
+    nearly = expected.margins.value > 1e-9  # equally far faces may change places, but which are there does not change
+    np.testing.assert_array_equal(hard[nearly], expected.inside[nearly])
+    np.testing.assert_array_equal((found >= 0)[nearly], (expected.face >= 0)[nearly])
+
+
+def test_equal_faces_are_peeled_by_index():
+    """Equation 3 with ties: two copies of one triangle, the lower index in front, both hard and soft."""
+    codes = layers_of(scenes()["coincident"], 3)
+    some = codes[..., 0] >= 0
+    assert some.sum() > 50 and ((codes[..., 0] >> 1)[some] == 0).all() and ((codes[..., 1] >> 1)[some] == 1).all()
+    assert (codes[..., 2] == -1).all()
+
+
+def test_every_raster_op_has_a_reference():
+    assert all(o.ref is not None for o in OPS.values() if o.stage == "raster")
