@@ -141,16 +141,16 @@ gl_Position = {clip_at}(view * {vertices} + (corner == 0 ? t.x : corner == 1 ? t
 code = 2 * (view * {face_count} + f) + 1;
 """
 _FOLD = _PROLOGUE + """
-int edge = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+int edge = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
 segment = {folds_at}(view * {edge_count} + edge);
-if (segment.x < 1e8) {
+if (segment.x < 1e8) {  // one triangle around the box of the segment: few edges are folds, so vertices cost more than pixels
     code = 2 * (view * {face_count} + {edge_faces_at}(edge).x);
     float reach = float({radius}) + 0.02;
     vec2 d = segment.zw - segment.xy;
     float l = length(d);
     d = l < 1e-20 ? vec2(1.0, 0.0) : d / l;
     vec2 n = vec2(-d.y, d.x) * reach;
-    vec2 o = (corner == 1 || corner == 3 || corner == 5 ? segment.zw + d * reach : segment.xy - d * reach) + (corner >= 2 && corner != 3 ? n : -n);
+    vec2 o = segment.xy - d * reach - n + (corner == 1 ? d * (2.0 * l + 4.0 * reach) : corner == 2 ? 4.0 * n : vec2(0.0));
     gl_Position = vec4(o / half_cell.xy, 0.0, 1.0);
 }
 """
@@ -164,7 +164,7 @@ op("rasterize_folds", "clip faces folds edge_faces", infer=_code(1), reads="vert
    functions=FUNCTIONS, ref=reference.rasterize_folds, cost=300,
    draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count"),
                depth_range=(0.0, 0.5)),
-          Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(6, "edge_count"),
+          Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(3, "edge_count"),
                writes_depth=True)),
    doc="First layer: hard faces, then the enlarged fold and boundary edges; equal to `rasterize`.")
 
