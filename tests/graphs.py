@@ -165,10 +165,11 @@ class Graph:
             if len(ys):
                 box[k] = xs.min(), ys.min(), xs.max() + 1, ys.max() + 1
         if self.rng.random() < 0.5:
-            return lookup(self.pick(None, extent_named("table")), self.indices["wide"], constant_table(box))
-        index = self.indices["wide"]
-        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, constant_table(box),
-                                   apply("occupied", index)))
+            return lookup(self.pick(None, extent_named("table")), self.indices["wide"],
+                          (constant_table(box), apply("covered_tiles", self.indices["wide"])))
+        index, box = self.indices["wide"], constant_table(box)
+        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, box,
+                                   apply("box_occupied", box, apply("covered_tiles", index))))
 
     def _fetch(self, a):
         wide = extent_named("wide")
@@ -190,8 +191,11 @@ class Graph:
         return self._bounded(gather_sum(a, np.stack([ends - lengths, ends], 1), cols, weights))
 
     def _window(self, a):
-        bits = apply("select", self._condition(extent_named("wide")), 1, 2)
-        return apply("to_float", apply("window_or", bits, dx=1, dy=2, cell_w=EXTENTS["wide"][0], cell_h=EXTENTS["wide"][1]))
+        codes = apply("select", self._condition(extent_named("wide")), 1, -1)
+        window = {"cell_w": EXTENTS["wide"][0], "cell_h": EXTENTS["wide"][1], "tile": (16, 16)}
+        tiles = apply("edge_tiles", codes, reach=2)
+        across = apply("hard_window", codes, tiles, dx=1, dy=0, **window)
+        return apply("to_float", apply("edge_mask", across, tiles, dx=0, dy=2, **window))
 
     def _sample(self, a):
         uv = compose(*(self.pick(1, extent_named("tall")) for _ in range(2)))

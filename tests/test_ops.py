@@ -51,9 +51,9 @@ def sample(o):
         faces, edges, views = 5, 7, 2
         codes = rng.integers(-1, 2 * faces * views, (6, 8, 1))
         return [codes, constant_table(rng.integers(0, edges, (faces, 3))), to_table(rng.normal(size=(edges * views, 4))),
-                rng.normal(size=(6, 8, 2))], {"face_count": faces, "edge_count": edges}
+                rng.normal(size=(6, 8, 2)), rng.integers(0, 2, (6, 8, 1))], {"face_count": faces, "edge_count": edges}
     if o.name == "fold_segments":
-        edges, views, vertices = 7, 2, 6
+        edges, views, vertices = 8, 2, 6
         ends = np.array([rng.permutation(vertices)[:4] for _ in range(edges)])
         ends[2, 3] = -1
         segments = to_table(np.concatenate([rng.normal(size=(edges * views - 1, 4)), np.full((1, 4), 1e9)]))
@@ -231,10 +231,11 @@ def cases():
     sparse = np.where(rng.random((20, 35, 1)) < 0.02, rng.integers(0, 6, (20, 35, 1)), -1)
     sparse[8:16, 8:24] = -1
     boxes = to_table(np.array([[0, 0, 35, 20], [3, 5, 30, 17], [8, 8, 24, 16], [9, 1, 9, 19], [34, 19, 35, 20], [0, 0, 8, 20]]))
-    occupied = OPS["occupied"].ref(sparse)
-    assert 0 < occupied.mean() < 1
-    out["occupied", "sparse"] = Case([sparse], {}, 0)
-    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, occupied], {}, DEFAULT_RTOL)
+    covered = OPS["covered_tiles"].ref(sparse)
+    out["covered_tiles", "sparse"] = Case([sparse], {}, 0)
+    active = OPS["box_occupied"].ref(boxes, covered)
+    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, active], {}, DEFAULT_RTOL)
+    out["segment_sum", "idle"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, active * 0], {}, 0)
     out["fetch", "outside"] = Case([rng.normal(size=(4, 5, 2)), rng.integers(-9, 20, (6, 7, 2))], {}, 0)
     uv = np.array([0.0, 1.0, -1.0, 2.0, 0.5, 1 / 16, 1 - 1 / 16, -0.26, 1.37, 7.77])
     uv = np.stack(np.meshgrid(uv, uv), 2)

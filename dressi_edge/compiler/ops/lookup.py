@@ -163,8 +163,8 @@ def _lookup_vjp(g, y, entries, index):
         own = apply("texel_index", extent=entries.extent)
         return apply("select", apply("equal", own, index), g, 0.0), None
     if index.op.name != "constant":
-        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() its bounds,"
-                         " , or cut the path with stop_gradient")
+        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() its bounds, or cut the "
+                         "path with stop_gradient")
     flat = index.attrs["data"].array.reshape(-1)[:index.extent.count]
     rows, cols, _ = _rows_of(flat, entries.extent.count)
     return _laid_out(gather_sum(g, rows, cols), entries.extent), None
