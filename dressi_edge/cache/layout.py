@@ -63,6 +63,8 @@ class Layout:
             raise InputError(f"{name} has shape {array.shape}; {self.shape} is needed")
         if array.dtype.kind not in ("biu" if is_int(self.vtype) else "biuf"):
             raise InputError(f"{name} has type {array.dtype}; {'integers are' if is_int(self.vtype) else 'numbers are'} needed")
+        if is_int(self.vtype) and array.size and not -2 ** 31 <= int(array.min()) <= int(array.max()) < 2 ** 31:
+            raise InputError(f"{name} has values beyond the range of int32")
         array = array.astype(np.int64 if is_int(self.vtype) else np.float64)
         if not is_int(self.vtype) and not np.isfinite(array).all():
             raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are NaN or Inf; finite numbers are needed")

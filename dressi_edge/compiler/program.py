@@ -68,7 +68,7 @@ class Program:
         """An image the session sets; with a default it need not."""
         return self._leaf("input", name, layout, default)
 
-    def state(self, name: str, layout: Layout, initial=0.0) -> Node:
+    def state(self, name: str, layout: Layout, initial=0) -> Node:
         """An image that lives on the device and that plans update."""
         return self._leaf("state", name, layout, initial)
 
