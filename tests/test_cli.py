@@ -1,0 +1,273 @@
+"""The command line: each kind of failure has its exit code and one line; a job goes from text to a mesh; the device needs no compiler."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jobs import TINY, write_job
+
+from dressi_edge import cli
+from dressi_edge.cache.profile import Profile, profile_names
+from dressi_edge.commands import run as run_module
+from dressi_edge.compiler.scene import load_mesh
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    for name in ("DRESSI_DEVICE", "DRESSI_DEBUG", "DRESSI_DUMP"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def command(*args, cwd=None, **env):
+    """The finished process of `dressi-edge ARGS` in an interpreter of its own."""
+    return subprocess.run([sys.executable, "-m", "dressi_edge.cli", *map(str, args)], cwd=cwd, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(ROOT), **env}, timeout=300)
+
+
+def here(capsys, *args):
+    """(exit code, stdout, stderr) of the command in this process."""
+    try:
+        code = cli.main([str(a) for a in args])
+    except SystemExit as stop:
+        code = stop.code
+    out = capsys.readouterr()
+    return code, out.out, out.err
+
+
+def one_line(stderr):
+    assert stderr.startswith("dressi-edge: ") and stderr.endswith("\n") and stderr.count("\n") == 1
+    return stderr
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    """A folder with job.toml, x.dressi and what `run` wrote, all made from another directory."""
+    folder, elsewhere = tmp_path_factory.mktemp("job"), tmp_path_factory.mktemp("elsewhere")
+    write_job(folder)
+    made = command("compile", folder / "job.toml", "-p", "lavapipe", "-o", folder / "x.dressi", cwd=elsewhere)
+    assert made.returncode == 0, made.stderr
+    ran = command("run", folder / "x.dressi", "-o", folder / "out.glb", "--explain", cwd=elsewhere)
+    assert ran.returncode == 0, ran.stderr
+    assert list(elsewhere.iterdir()) == []
+    return folder, made, ran
+
+
+def test_a_job_becomes_a_mesh_with_pictures_and_numbers(solved):
+    folder, made, ran = solved
+    assert "phases shape (3 steps) paint (2 steps)" in made.stdout
+    metrics = json.loads((folder / "out_metrics.json").read_text())
+    assert sorted(p.name for p in folder.glob("out*")) == ["out.glb", "out_loss.png", "out_metrics.json", "out_sheet.png"]
+    assert {name: p["steps"] for name, p in metrics["phases"].items()} == {"shape": 3, "paint": 2}
+    for phase in metrics["phases"].values():
+        assert phase["loss_last"] < phase["loss_first"] and phase["ms_per_step"] > 0
+    assert [x for x, _ in metrics["losses"]["shape"]] == [0, 1, 2, 3]
+    assert 0.3 < metrics["views"]["iou_mean"] <= 1 and metrics["views"]["psnr_mean"] > 3 and metrics["profile"] == "lavapipe"
+    mesh = load_mesh(folder / "out.glb")
+    assert len(mesh.positions) == 42 and len(mesh.faces) == 80
+    assert "shape: 3 steps, loss" in ran.stdout and "out_sheet.png" in ran.stdout and "runs: {" in ran.stdout
+    assert "shape 3/3 loss" in ran.stderr and "paint 2/2 loss" in ran.stderr
+
+
+@pytest.mark.parametrize("suffix, files", [(".obj", ["b.obj"]), (".ply", ["b.ply"]), (".npz", ["b.npz"])])
+def test_the_extension_chooses_the_output(solved, tmp_path, capsys, suffix, files):
+    code, out, _ = here(capsys, "run", solved[0] / "x.dressi", "--phase", "shape", "--steps", "2", "-o", tmp_path / f"b{suffix}", "--json")
+    metrics = json.loads(out)
+    assert code == 0 and list(metrics["phases"]) == ["shape"] and metrics["phases"]["shape"]["steps"] == 2
+    assert set(files) <= {p.name for p in tmp_path.iterdir()}
+    if suffix == ".npz":
+        states = np.load(tmp_path / "b.npz")
+        assert states["vertices"].shape == (42, 3) and states["shape.step"] == 2 and [p.name for p in tmp_path.iterdir()] == ["b.npz"]
+    else:
+        assert len(load_mesh(tmp_path / f"b{suffix}").faces) == 80
+
+
+def test_two_compilations_give_the_same_bytes(solved, tmp_path):
+    again = command("compile", "job.toml", "-p", "lavapipe", "-o", tmp_path / "y.dressi", cwd=solved[0], PYTHONHASHSEED="1")
+    assert again.returncode == 0, again.stderr
+    assert (tmp_path / "y.dressi").read_bytes() == (solved[0] / "x.dressi").read_bytes()
+
+
+def test_the_reference_device_agrees_with_lavapipe(solved, capsys):
+    losses = {}
+    for device, path in (("reference", "job.toml"), ("llvmpipe", "x.dressi")):
+        code, out, err = here(capsys, "run", solved[0] / path, "--device", device, "--json")
+        assert code == 0, err
+        losses[device] = {name: (p["loss_first"], p["loss_last"]) for name, p in json.loads(out)["phases"].items()}
+    for name, values in losses["reference"].items():
+        np.testing.assert_allclose(losses["llvmpipe"][name], values, rtol=2e-3)
+
+
+def test_running_without_a_mesh_imports_no_compiler(solved, tmp_path):
+    code = ("import sys\nsys.modules.update(trimesh=None, PIL=None)\nfrom dressi_edge.cli import main\n"
+            "code = main(sys.argv[1:])\nassert not [m for m in sys.modules if m.startswith('dressi_edge.compiler')]\nsys.exit(code)")
+    for args in (["run", "--steps", "1", "-o", tmp_path / "a.npz"], ["inspect"], ["verify"]):
+        done = subprocess.run([sys.executable, "-c", code, args[0], str(solved[0] / "x.dressi"), *map(str, args[1:])],
+                              env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    done = subprocess.run([sys.executable, "-c", code, "run", str(solved[0] / "x.dressi"), "-o", str(tmp_path / "a.glb")],
+                          env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert "pip install 'dressi_edge[compiler]'" in done.stderr
+
+
+def test_inspect_counts_plans(solved, capsys):
+    bundle = solved[0] / "x.dressi"
+    code, out, _ = here(capsys, "inspect", bundle, "--json")
+    (profile, plans), = json.loads(out).items()
+    assert code == 0 and profile == "lavapipe" and {"shape", "shape.loss", "paint", "render"} <= set(plans)
+    for row in plans.values():
+        assert set(row) == {"functions", "substages", "stages", "pipelines", "bytes_per_step"}
+        assert row["functions"] >= row["substages"] >= row["stages"] > 0 and row["pipelines"] > 0 and row["bytes_per_step"] > 0
+    code, out, _ = here(capsys, "inspect", bundle)
+    assert code == 0 and f"shape: {plans['shape']['functions']} functions" in out and "attachments" in out
+    code, out, _ = here(capsys, "inspect", bundle, "--dot")
+    assert code == 0 and out.startswith("digraph") and out.count("{") == out.count("}") and "->" in out
+
+
+def test_bench_times_every_stage(solved, capsys):
+    code, out, _ = here(capsys, "bench", solved[0] / "x.dressi", "--runs", "2", "--json")
+    report = json.loads(out)
+    assert code == 0 and report["plans"]["shape"]["step_ms"] > 0
+    for row in report["plans"].values():
+        assert len(row["stage_ms"]) == row["stages"] and row["ms"] == pytest.approx(sum(row["stage_ms"]))
+    code, out, _ = here(capsys, "bench", solved[0] / "x.dressi", "--runs", "1")
+    assert code == 0 and "ms on the device" in out
+
+
+def test_verify_says_ok_or_the_first_thing_wrong(solved, tmp_path, capsys):
+    code, out, _ = here(capsys, "verify", solved[0] / "x.dressi")
+    assert code == 0 and out.startswith("OK ")
+    data = bytearray((solved[0] / "x.dressi").read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "bad.dressi").write_bytes(data)
+    code, out, err = here(capsys, "verify", tmp_path / "bad.dressi")
+    assert code == 3 and not out and "checksum" in one_line(err)
+
+
+def test_debug_and_dump_show_what_was_compiled(tmp_path):
+    write_job(tmp_path)
+    done = command("compile", tmp_path / "job.toml", "-p", "limit4", "-o", tmp_path / "x.dressi", DRESSI_DEBUG="3", DRESSI_DUMP=tmp_path / "dump")
+    assert done.returncode == 0 and "profile limit4" in done.stderr and "substage 0" in done.stderr and "void main()" in done.stderr
+    names = {p.name for p in (tmp_path / "dump").iterdir()}
+    assert {"summary.txt", "stages.txt", "stages.dot", "shader000.vert"} <= names
+
+
+def test_profiles_are_listed_shown_checked_merged_and_captured(tmp_path, capsys):
+    code, out, _ = here(capsys, "profiles", "list")
+    assert code == 0 and [line.split()[0] for line in out.splitlines()] == profile_names()
+    assert set(json.loads(here(capsys, "profiles", "list", "--json")[1])) == set(profile_names())
+    assert Profile.loads(here(capsys, "profiles", "show", "limit4")[1]) == Profile.load("limit4")
+    assert here(capsys, "profiles", "check")[0] == 0
+    code, _, _ = here(capsys, "profiles", "merge", "limit8", "limit4", "-n", "both", "-o", tmp_path / "both.json")
+    assert code == 0 and Profile.load(tmp_path / "both.json").limit("maxColorAttachments") == 4
+    code, _, _ = here(capsys, "profiles", "capture", "-n", "here", "-o", tmp_path / "here.json", "--device", "llvmpipe")
+    captured = Profile.load(tmp_path / "here.json")
+    assert code == 0 and captured.limit("maxColorAttachments") == 8 and captured.format_has("R32G32B32A32_SFLOAT", "sampled", "color")
+    assert here(capsys, "profiles", "check", tmp_path / "here.json")[0] == 0
+
+
+def test_devices_are_listed(capsys):
+    assert "llvmpipe" in here(capsys, "devices")[1]
+    assert any("llvmpipe" in row["name"] for row in json.loads(here(capsys, "devices", "--json")[1]))
+
+
+@pytest.mark.parametrize("args, expected", [
+    ([], "required"), (["draw"], "invalid choice: 'draw'"), (["compile", "job.toml"], "-p/--profile, -o/--output"),
+    (["run", "x.dressi", "--steps", "0"], "'0' is no whole number above 0"), (["run", "x.dressi", "--step", "3", "--frobnicate"], "--frobnicate"),
+    (["inspect", "x.dressi", "--json", "--dot"], "not allowed with")])
+def test_wrong_usage_is_exit_code_2(capsys, args, expected):
+    code, _, err = here(capsys, *args)
+    assert code == 2 and expected in one_line(err) and "--help" in err
+
+
+@pytest.mark.parametrize("args, expected", [
+    (["compile", "none.toml", "-p", "lavapipe", "-o", "y.dressi"], "none.toml cannot be read"),
+    (["compile", "job.toml", "-p", "lavapip", "-o", "y.dressi"], "did you mean lavapipe?"),
+    (["compile", "job.toml", "-p", "lavapipe", "-o", "none/y.dressi"], "does not exist; create it first"),
+    (["run", "none.dressi"], "none.dressi: cannot be read"), (["run", "job.toml"], "make a bundle of it first"),
+    (["run", "x.dressi", "--phase", "shap"], "no phase of x.dressi; there are: shape paint"),
+    (["run", "x.dressi", "-o", "out.blend"], "extension .blend is unknown; known are .glb .gltf .obj .ply .npz"),
+    (["run", "x.dressi", "-o", "none/out.glb"], "does not exist; create it first"),
+    (["run", "x.dressi", "--device", "reference"], "runs a job (.toml)"),
+    (["run", "photos/0.png"], "not a bundle"), (["inspect", "job.toml"], "not a bundle"), (["verify", "photos"], "Is a directory"),
+    (["profiles", "show", "limit5"], "did you mean limit"), (["profiles", "check", "photos/transforms.json"], "unknown key"),
+    (["profiles", "merge", "limit4", "limit8", "-n", "A B"], "1 to 64 of a-z"),
+    (["demo", "-o", "job.toml"], "cannot be made a folder")])
+def test_bad_input_is_exit_code_3_and_leaves_nothing(solved, monkeypatch, capsys, args, expected):
+    monkeypatch.chdir(solved[0])
+    before = sorted(p.name for p in solved[0].iterdir())
+    code, out, err = here(capsys, *args)
+    assert code == 3 and expected in one_line(err) and out == ""
+    assert sorted(p.name for p in solved[0].iterdir()) == before
+
+
+@pytest.mark.parametrize("old, new, expected", [
+    ("r = 2.0", "raduis = 2.0", "render.raduis is an unknown key"), ("photos/", "none/", "none/transforms.json does not exist"),
+    ("sphere = {vertices = 42, radius = 0.5}", "path = 'none.obj'", "none.obj does not exist")])
+def test_a_bad_job_is_refused_before_anything_is_compiled(tmp_path, monkeypatch, capsys, old, new, expected):
+    monkeypatch.setattr("dressi_edge.compiler.compile_program", None)
+    path = write_job(tmp_path, TINY.replace(old, new))
+    code, _, err = here(capsys, "compile", path, "-p", "lavapipe", "-o", tmp_path / "x.dressi")
+    assert code == 3 and expected in one_line(err) and not (tmp_path / "x.dressi").exists()
+
+
+def test_no_vulkan_device_is_exit_code_4(solved, tmp_path):
+    nowhere = {"VK_DRIVER_FILES": str(tmp_path / "none.json"), "VK_ICD_FILENAMES": str(tmp_path / "none.json")}
+    for args in (["run", solved[0] / "x.dressi"], ["run", solved[0] / "x.dressi", "-o", tmp_path / "a.glb"], ["devices"], ["bench", solved[0] / "x.dressi"],
+                 ["demo", "-o", tmp_path / "demo"]):
+        done = command(*args, **nowhere)
+        assert done.returncode == 4 and "no Vulkan" in one_line(done.stderr) and "mesa-vulkan-drivers" in done.stderr, done
+    assert not (tmp_path / "a.glb").exists()
+
+
+def test_an_unknown_device_is_exit_code_4_and_lists_those_there_are(solved, capsys, monkeypatch):
+    code, _, err = here(capsys, "run", solved[0] / "x.dressi", "--device", "geforce")
+    assert code == 4 and "llvmpipe" in one_line(err)
+    monkeypatch.setenv("DRESSI_DEVICE", "radeon")
+    code, _, err = here(capsys, "run", solved[0] / "x.dressi")
+    assert code == 4 and "DRESSI_DEVICE" in one_line(err)
+
+
+def test_a_defect_is_exit_code_1_with_a_traceback_only_on_demand(solved, capsys, monkeypatch):
+    monkeypatch.setattr("dressi_edge.cache.summary.text", lambda d: 1 / 0)
+    code, _, err = here(capsys, "inspect", solved[0] / "x.dressi")
+    assert code == 1 and "ZeroDivisionError" in one_line(err) and "DRESSI_DEBUG=1" in err
+    monkeypatch.setenv("DRESSI_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["inspect", str(solved[0] / "x.dressi")])
+
+
+class Interrupted:
+    """A session whose third submission is interrupted."""
+
+    values, plans = {"p.loss": {}}, {}
+
+    def __init__(self):
+        self.done = self.calls = 0
+
+    def step(self, n, phase=None):
+        self.calls += n > 0
+        if self.calls == 3:
+            raise KeyboardInterrupt
+        self.done += n
+
+    def loss(self):
+        return 1.0 / (1 + self.done)
+
+
+def test_an_interrupted_phase_keeps_what_there_is(capsys):
+    curve = []
+    out = run_module.solve(Interrupted(), "p", 100, curve)
+    assert out["interrupted"] and out["steps"] == 2 and curve[-1] == (2, 1 / 3)
+    assert "stopped p after 2 of 100 steps" in capsys.readouterr().err
+
+
+def test_output_into_a_closed_pipe_is_no_error(solved):
+    done = subprocess.run(f"{sys.executable} -m dressi_edge.cli inspect {solved[0] / 'x.dressi'} | head -1", shell=True, capture_output=True,
+                          text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.stderr == "" and done.stdout.startswith("profile lavapipe")
