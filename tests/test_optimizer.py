@@ -8,7 +8,7 @@ import pytest
 from dressi_edge.cache.errors import InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import constant_table
+from dressi_edge.compiler.functions import constant, constant_table
 from dressi_edge.compiler.ir import UNIT, is_int, topological
 from dressi_edge.compiler.optable import apply
 from dressi_edge.compiler.program import Program
@@ -183,7 +183,7 @@ def test_sgd_is_sgd_for_50_steps(momentum, nesterov):
 def one_texel(optimizer, **fields):
     """Updates of a table of 5 floats whose gradient is an input, and the program."""
     program = Program()
-    layout = Layout("table", "float", count=5)
+    layout = Layout("image", "float", 1, 5)
     p, g = program.state("p", layout), program.input("g", layout)
     step = program.state("step", Layout("unit", "int"), 0)
     return program, optimizer.update(program, "p", p, g, step, **fields)
@@ -196,11 +196,11 @@ def test_adam_in_fp32_moves_by_the_rate_at_any_step(step):
     g = np.float32([1e-3, -1e-8, 5e4, -1.0, 3e-6])
     t = np.float64(step)
     m, v = g * -np.expm1(t * math.log(0.9)), g.astype(float) ** 2 * -np.expm1(t * math.log(0.999))
-    layout = Layout("table", "float", count=5)
+    layout = Layout("image", "float", 1, 5)
     feed = {"p": 0 * g, "g": g, "p.adam_m": m, "p.adam_v": v}
-    feed = {name: layout.to_image(x, name).astype(np.float32) for name, x in feed.items()}
+    feed = {name: layout.to_image(x.reshape(5, 1), name).astype(np.float32) for name, x in feed.items()}
     p, _, _ = evaluate_fp32([updates[n] for n in ("p", "p.adam_m", "p.adam_v")], feed | {"step": unit(step)})
-    np.testing.assert_allclose(layout.from_image(p), -0.01 * g / (abs(g) + 1e-8), rtol=5e-6 if step < 2000 else 2e-5)
+    np.testing.assert_allclose(layout.from_image(p)[:, 0], -0.01 * g / (abs(g) + 1e-8), rtol=5e-6 if step < 2000 else 2e-5)
 
 
 @pytest.mark.parametrize("base", [0.0, 1e-30, 0.5, 0.6, 0.9, 0.99, 0.999, 0.99999])
@@ -226,10 +226,10 @@ def test_a_texel_without_gradient_and_moments_keeps_its_bits(optimizer, step):
 @pytest.mark.parametrize("optimizer", [Adam(0.01), Sgd(0.01, 0.9)])
 def test_a_masked_texel_does_not_move(optimizer):
     program = Program()
-    layout = Layout("table", "vec3", count=5)
-    p, g = program.state("p", layout, np.ones((5, 3))), program.input("g", layout)
+    layout = Layout("image", "vec3", 1, 5)
+    p, g = program.state("p", layout, np.ones((5, 1, 3))), program.input("g", layout)
     step = program.state("step", Layout("unit", "int"), 0)
-    updates = optimizer.update(program, "p", p, g, step, mask=constant_table(np.array([1.0, 0, 1, 0, 0.5])))
+    updates = optimizer.update(program, "p", p, g, step, mask=constant(np.array([1.0, 0, 1, 0, 0.5]).reshape(5, 1, 1)))
     feed = {name: np.zeros((5, 1, 3)) for name in updates} | {"g": np.full((5, 1, 3), 2.0), "p": np.ones((5, 1, 3))}
     after, = evaluate([updates["p"]], feed | {"step": unit(0)})
     assert ((after == 1).all((1, 2)) == [False, True, False, True, False]).all()
