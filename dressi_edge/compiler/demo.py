@@ -10,7 +10,7 @@ import numpy as np
 
 from .cameras import Camera, orbit
 from .render.problem import Adam, Light, Loss, Problem, Schedule, Softness
-from .scene import Mesh, pear, sphere
+from .scene import Mesh, sphere
 from .views import Views
 
 VIEWS = 6

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..cache.profile import Profile
+from .guard import Guard
 from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
 from .optable import FILTERED, OWN, TILE, VERTEX
-from .guard import Guard
 from .pack import Substage
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",

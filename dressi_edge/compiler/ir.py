@@ -13,9 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cache.errors import GraphError
-from ..cache.layout import CHANNELS, is_int, table_size
-
-
+from ..cache.layout import CHANNELS, table_size
 
 
 def vector_type(channels: int, integer: bool = False) -> str:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from ..cache.errors import PackError
 from ..cache.profile import Profile
 from .ir import UNIT, Extent, Node, topological
-from .optable import OWN, VERTEX
 from .ops import lookup as _lookup  # noqa: F401  (fills the op table)
+from .optable import OWN, VERTEX
 
 RECOMPUTE_COST = 24
 FORMAT_BITS = {"float": 32, "vec2": 64, "vec3": 128, "vec4": 128, "int": 32, "ivec2": 64, "ivec3": 128, "ivec4": 128}

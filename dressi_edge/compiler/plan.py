@@ -10,13 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..cache import vulkan as v
+from ..cache.layout import Layout
 from ..cache.profile import Profile
 from . import emit, spirv
 from .guard import find_guard
 from .ir import CHANNELS, Node, is_int
 from .optable import apply
 from .pack import Stage, pack
-from ..cache.layout import Layout
 from .program import PlanSpec, Program, extent_of
 from .simplify import lower, simplify
 from .specialize import specialize

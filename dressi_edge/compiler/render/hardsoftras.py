@@ -12,8 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cache.errors import InputError
-from ..functions import absolute, apply, clamp, compose, constant_table, dot, lookup, maximum, minimum, not_equal, \
-    select, sigmoid, sqrt, stop_gradient, to_int
+from ..functions import (
+    absolute,
+    apply,
+    clamp,
+    compose,
+    constant_table,
+    dot,
+    lookup,
+    maximum,
+    minimum,
+    not_equal,
+    select,
+    sigmoid,
+    sqrt,
+    stop_gradient,
+    to_int,
+)
 from ..ir import Extent, Node, image
 from ..ops.reduce import TILE
 from ..topology import Topology
