@@ -13,7 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cache.errors import GraphError
-from ..cache.layout import CHANNELS, table_size
+from ..cache.layout import CHANNELS, is_int, table_size
+
+__all__ = ["CHANNELS", "Data", "Extent", "Node", "UNIT", "image", "intern", "is_int", "rebuild", "table", "topological", "users",
+           "vector_type"]
 
 
 def vector_type(channels: int, integer: bool = False) -> str:

@@ -19,7 +19,7 @@ from .ir import UNIT, Extent, Node, topological
 from .ops import lookup as _lookup  # noqa: F401  (fills the op table)
 from .optable import OWN, VERTEX
 
-RECOMPUTE_COST = 24
+RECOMPUTE_COST = 24  # work a value may cost to be computed again
 FORMAT_BITS = {"float": 32, "vec2": 64, "vec3": 128, "vec4": 128, "int": 32, "ivec2": 64, "ivec3": 128, "ivec4": 128}
 
 
@@ -127,34 +127,24 @@ def _groups(order: Sequence[Node], level: dict[Node, int]) -> list[list[Node]]:
     return [groups[key] for key in sorted(groups, key=lambda key: key[:5])]
 
 
-class _Recompute:
-    """Which values a group recomputes instead of reading."""
-
-    def __init__(self, order, roots, group_of):
-        self.group_of = group_of
-        self.stored = {n for n in order if _leaf(n) or n in roots or n.op.stage == "raster"}
-        for n in order:
-            self.stored.update(x for x, m in _edges(n) if _crosses(x, n, m))
-
-    def cone(self, x: Node, reads: set[Node]) -> list[Node] | None:
-        """Nodes to recompute for x (inputs first), or None if storing it is better."""
-        if x in self.stored or x.op.loop is not None:
+def _cone(xs: Sequence[Node], stored: set[Node], reads: set[Node], budget: int) -> list[Node] | None:
+    """Nodes to recompute so that none of xs need be stored, or None if storing them is better: too much work, or more new reads than
+    the values themselves would be."""
+    cone, fetched, cost, stack, seen = [], set(), 0, list(xs), set(xs)
+    while stack:
+        n = stack.pop()
+        cost += n.op.cost
+        cone.append(n)
+        if cost > budget or n in stored or n.op.loop is not None or n.op.stage != "pixel":
             return None
-        cone, fetched, cost, stack, seen = [], set(), 0, [x], {x}
-        while stack:
-            n = stack.pop()
-            cost += n.op.cost
-            cone.append(n)
-            if cost > RECOMPUTE_COST or n.op.loop is not None or n.op.stage != "pixel":
-                return None
-            for y, mode in _edges(n):
-                if y in self.stored or mode != OWN:
-                    fetched.add(y)
-                elif y not in seen:
-                    seen.add(y)
-                    stack.append(y)
-        new = {y for y in fetched if y not in reads and y.extent != UNIT}
-        return None if len(new) > 1 else topological_subset(cone)
+        for y, mode in _edges(n):
+            if y in stored or mode != OWN:
+                fetched.add(y)
+            elif y not in seen:
+                seen.add(y)
+                stack.append(y)
+    new = {y for y in fetched if y not in reads and y.extent != UNIT}
+    return None if len(new) > len(xs) else cone
 
 
 def topological_subset(nodes) -> list[Node]:
@@ -188,21 +178,24 @@ def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
     order = [n for n in topological(roots) if not _inline(n)]
     level = _levels(order, root_set)
     groups = _groups(order, level)
-    group_of = {n: k for k, group in enumerate(groups) for n in group}
-    recompute = _Recompute(order, root_set, group_of)
+    stored = {n for n in order if _leaf(n) or n in root_set or n.op.stage == "raster"}
+    for n in order:
+        stored.update(x for x, m in _edges(n) if _crosses(x, n, m))
     members: list[list[Node]] = []
-    for k, group in enumerate(groups):
+    for group in groups:
         inside = set(group)
-        reads = {x for n in group for x, m in _edges(n) if x not in inside and x in recompute.stored}
-        extra: dict[Node, None] = {}
-        wanted = [x for n in group for x, m in _edges(n) if x not in inside and x not in recompute.stored]
-        for x in dict.fromkeys(wanted):
-            cone = recompute.cone(x, reads)
-            if cone is None:
-                recompute.stored.add(x)
-                reads.add(x)
-            else:
-                extra.update(dict.fromkeys(cone))
+        reads = {x for n in group for x, m in _edges(n) if x not in inside and x in stored}
+        wanted = list(dict.fromkeys(x for n in group for x, m in _edges(n) if x not in inside and x not in stored))
+        extra = _cone(wanted, stored, reads, RECOMPUTE_COST * len(wanted))
+        if extra is None:
+            extra = []
+            for x in wanted:
+                cone = None if x in stored else _cone([x], stored, reads, RECOMPUTE_COST)
+                if cone is None:
+                    stored.add(x)
+                    reads.add(x)
+                else:
+                    extra += cone
         members.append(topological_subset([*group, *extra]) if extra else group)
     read_elsewhere = set(root_set)
     for nodes in members:
