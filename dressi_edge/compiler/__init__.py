@@ -18,9 +18,9 @@ from .program import Program
 __all__ = ["Program", "compile_program", "describe"]
 
 
-def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True) -> tuple[dict, Assembler]:
+def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True, stage_packing: bool = True) -> tuple[dict, Assembler]:
     """The bundle's description without blobs, and the assembler that holds them and the stages."""
-    assembler = Assembler(program, profile, naive, cache)
+    assembler = Assembler(program, profile, naive, cache, stage_packing)
     description = assembler.assemble()
     description["meta"] = {**program.meta, "functions": count_functions(assembler)}
     description["profile"] = {"name": profile.name, "digest": profile.digest}
@@ -30,12 +30,12 @@ def describe(program: Program, profile: Profile, *, naive: bool = False, cache: 
 
 
 def compile_program(program: Program, profile: Profile | str, path: str | os.PathLike, *, naive: bool = False,
-                    cache: bool = True) -> dict:
+                    cache: bool = True, stage_packing: bool = True) -> dict:
     """Compile for a profile (or its name) and write the bundle; its description. `naive`: one function a pass; `cache=False`: no
-    reactive cache. Raises GraphError, PackError, ProfileError, BundleError."""
+    reactive cache; `stage_packing=False`: one substage a pass. Raises GraphError, PackError, ProfileError, BundleError."""
     if not isinstance(profile, Profile):
         profile = Profile.load(profile)
-    description, assembler = describe(program, profile, naive=naive, cache=cache)
+    description, assembler = describe(program, profile, naive=naive, cache=cache, stage_packing=stage_packing)
     trace(description, assembler)
     _bundle.write(path, description, assembler.blobs)
     return description

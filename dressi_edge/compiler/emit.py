@@ -6,7 +6,7 @@ give equal text and share one module. Ops whose loop headers come out equal shar
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ..cache.profile import Profile
@@ -74,7 +74,7 @@ def hardware_filter(node: Node, profile: Profile) -> bool:
 
 
 class _Emitter:
-    def __init__(self, stage: Substage, profile: Profile, guard: Guard | None):
+    def __init__(self, stage: Substage, profile: Profile, guard: Guard | None, inner: Collection[Node] = ()):
         self.stage, self.profile = stage, profile
         self.tiled = guard.node if guard and guard.tile else None
         self.bindings: list[Binding] = []
@@ -87,7 +87,7 @@ class _Emitter:
                 if x.op.stage == "inline" or (mode == OWN and x in stage.nodes):
                     continue
                 sampler = mode == FILTERED and hardware_filter(x, profile)
-                key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, SAMPLED, "")
+                key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, ATTACHMENT if x in inner else SAMPLED, "")
                 if key not in self.slots:
                     self.slots[key] = len(self.bindings)
                     tiled = x is self.tiled
@@ -101,6 +101,10 @@ class _Emitter:
             if not (b.vertex if vertex else b.fragment):
                 continue
             prefix = "i" if is_int(b.node.vtype) else ""
+            if b.kind == ATTACHMENT:
+                number = sum(other.kind == ATTACHMENT for other in self.bindings[:k])
+                lines.append(f"layout(input_attachment_index = {number}, set = 0, binding = {k}) uniform {prefix}subpassInput t{k};")
+                continue
             if b.kind == SAMPLER:
                 lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}sampler2D t{k};")
                 lines.append(f"#define F{k}(uv) texture(t{k}, uv){_channels(b.node)}")
@@ -143,7 +147,7 @@ class _Emitter:
     def value(self, x: Node) -> str:
         """The variable that holds x at this texel; remembers to load it if it comes from outside."""
         if x not in self.values:
-            slot = self.slots[x, SAMPLED, ""]
+            slot = self.slots.get((x, SAMPLED, ""), self.slots.get((x, ATTACHMENT, "")))
             self.own[slot] = None
             self.values[x] = f"u{slot}"
         return self.values[x]
@@ -152,6 +156,9 @@ class _Emitter:
         lines = []
         for slot in self.own:
             x = self.bindings[slot].node
+            if self.bindings[slot].kind == ATTACHMENT:
+                lines.append(f"{x.vtype} u{slot} = subpassLoad(t{slot}){_channels(x)};")
+                continue
             at = "ivec2(0)" if x.extent == UNIT and self.stage.extent != UNIT else "pixel"
             lines.append(f"{x.vtype} u{slot} = T{slot}({at});")
         return lines
@@ -211,9 +218,10 @@ class _Emitter:
                           "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
 
 
-def emit(stage: Substage, profile: Profile, guard: Guard | None = None) -> tuple[list[DrawCode], list[Binding]]:
-    """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are discarded."""
-    e = _Emitter(stage, profile, guard)
+def emit(stage: Substage, profile: Profile, guard: Guard | None = None, inner: Collection[Node] = ()) -> tuple[list[DrawCode], list[Binding]]:
+    """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
+    read as input attachments, written by an earlier subpass of the same render pass."""
+    e = _Emitter(stage, profile, guard, inner)
     if not stage.raster:
         fragment = e.fragment(e.pixel_body(guard), [])
         if guard is None or guard.tile is None:

@@ -290,14 +290,43 @@ def _cut(nodes: list[Node], output: Node, stored: set[Node], profile: Profile) -
     return best
 
 
-def pack_stages(substages: Sequence[Substage]) -> list[Stage]:
-    """Substages to render passes: a substage joins the one before if it has the same extent and reads from it at the same texel only."""
+def merged_reads(stage: Sequence[Substage], s: Substage) -> set[Node]:
+    """What s reads of the outputs of a stage's substages."""
+    written = {n for part in stage for n in part.outputs}
+    return {x for x, _ in s.reads if x in written}
+
+
+def _joins(stage: Sequence[Substage], s: Substage, profile: Profile) -> bool:
+    """Whether s may be one more subpass of the stage: the same size, reads of its outputs at the same texel only, and within the
+    profile's input attachments and the merge rules of tile-based GPUs (docs/packing.md)."""
+    first = stage[0]
+    if (first.extent.width, first.extent.height) != (s.extent.width, s.extent.height) or s.raster or any(part.raster for part in stage):
+        return False
+    inner = merged_reads(stage, s)
+    if not inner or any(x in inner and m != OWN for x, m in s.reads):
+        return False
+    if len(inner) > profile.limit("maxPerStageDescriptorInputAttachments"):
+        return False
+    attachments = [n for part in (*stage, s) for n in part.outputs]
+    if profile.max_merged_attachments is not None and len(attachments) > profile.max_merged_attachments:
+        return False
+    return profile.tile_bits is None or sum(FORMAT_BITS[n.vtype] for n in attachments) <= profile.tile_bits
+
+
+def pack_stages(substages: Sequence[Substage], profile: Profile) -> list[Stage]:
+    """Substages to render passes: each joins the pass before it where it may."""
     stages: list[list[Substage]] = []
     for s in substages:
-        stages.append([s])
+        if stages and _joins(stages[-1], s, profile):
+            stages[-1].append(s)
+        else:
+            stages.append([s])
     return [Stage(group[0].extent, tuple(group)) for group in stages]
 
 
-def pack(roots: Sequence[Node], profile: Profile, naive: bool = False) -> list[Stage]:
-    """Stages in running order for one plan."""
-    return pack_stages(pack_naive(roots, profile) if naive else pack_substages(roots, profile))
+def pack(roots: Sequence[Node], profile: Profile, naive: bool = False, stage_packing: bool = True) -> list[Stage]:
+    """Stages in running order for one plan. The simple twins: `naive`, one function a pass; no stage packing, one substage a pass."""
+    substages = pack_naive(roots, profile) if naive else pack_substages(roots, profile)
+    if naive or not stage_packing:
+        return [Stage(s.extent, (s,)) for s in substages]
+    return pack_stages(substages, profile)

@@ -16,7 +16,7 @@ from . import emit, spirv
 from .guard import find_guard
 from .ir import CHANNELS, Node, is_int
 from .optable import apply
-from .pack import Stage, pack
+from .pack import Stage, merged_reads, pack
 from .program import PlanSpec, Program, extent_of
 from .simplify import lower, simplify
 from .specialize import specialize
@@ -44,8 +44,9 @@ class _Table(dict):
 class Assembler:
     """Collects images, blobs, shaders, passes and pipelines over all plans of a program."""
 
-    def __init__(self, program: Program, profile: Profile, naive: bool = False, cache: bool = True):
-        self.program, self.profile, self.naive, self.cache = program, profile, naive, cache
+    def __init__(self, program: Program, profile: Profile, naive: bool = False, cache: bool = True,
+                 stage_packing: bool = True):
+        self.program, self.profile, self.naive, self.cache, self.stage_packing = program, profile, naive, cache, stage_packing
         self.blobs: list[bytes] = []
         self._blob_at: dict[bytes, int] = {}
         self.images: list[dict] = []
@@ -144,7 +145,7 @@ class Assembler:
         self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs)
 
     def _run(self, name, roots, targets, updates, outputs, steps, needs=()) -> None:
-        stages = pack(roots, self.profile, self.naive)
+        stages = pack(roots, self.profile, self.naive, self.stage_packing)
         self.stage_lists.append((name, stages))
         place = dict(zip(roots, targets))
         last_read: dict[Node, int] = {}
@@ -183,8 +184,9 @@ class Assembler:
         attachments: dict[int, dict] = {}
         subpasses, layouts, read_refs = [], [], set()
         depth = -1
-        for s in stage.substages:
+        for number_in_pass, s in enumerate(stage.substages):
             colors = []
+            inner = merged_reads(stage.substages[:number_in_pass], s)
             guard = find_guard(s)
             clears = guard.constants if guard else (-1 if s.raster else None,) * len(s.outputs)
             for n, clear in zip(s.outputs, clears):
@@ -193,16 +195,21 @@ class Assembler:
                 attachments[ref] = {"format": format_number(n.vtype), "load": v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
                                     "store": v.STORE_STORE, "clear": clear or 0}
                 colors.append(list(attachments).index(ref))
-            draws, bindings = emit.emit(s, self.profile, guard)
+            draws, bindings = emit.emit(s, self.profile, guard, inner)
             refs = [self._ref(b.node, place) for b in bindings]
-            for ref in refs:
-                self.images[ref // 2]["usage"] |= v.USAGE_SAMPLED
-            read_refs.update(refs)
+            inputs = []
+            for b, ref in zip(bindings, refs):
+                if b.kind == emit.ATTACHMENT:
+                    self.images[ref // 2]["usage"] |= v.USAGE_INPUT
+                    inputs.append(list(attachments).index(ref))
+                else:
+                    self.images[ref // 2]["usage"] |= v.USAGE_SAMPLED
+                    read_refs.add(ref)
             if any(d.depth for d in draws):
                 image = self._depth(stage)
                 attachments[2 * image] = {"format": 0, "load": v.LOAD_CLEAR, "store": v.STORE_DONT_CARE, "clear": 1}
                 depth = list(attachments).index(2 * image)
-            layouts.append({"colors": tuple(colors), "inputs": (), "depth": depth})
+            layouts.append({"colors": tuple(colors), "inputs": tuple(inputs), "depth": depth})
             subpasses.append((s, draws, bindings, refs))
         key = _freeze({"attachments": tuple(_freeze(a) for a in attachments.values()), "subpasses": tuple(map(_freeze, layouts))})
         number = self.passes.number(key)
@@ -222,7 +229,9 @@ class Assembler:
     def _draw(self, draw: emit.DrawCode, bindings: Sequence[emit.Binding], refs, number, subpass, stage: Stage) -> dict:
         kinds = []
         for b in bindings:
-            if b.kind == emit.SAMPLER:
+            if b.kind == emit.ATTACHMENT:
+                kind, sampler = v.DESCRIPTOR_INPUT_ATTACHMENT, -1
+            elif b.kind == emit.SAMPLER:
                 kind = v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER
                 sampler = self.samplers.number(v.ADDRESS_REPEAT if b.wrap == "repeat" else v.ADDRESS_CLAMP)
             else:
