@@ -165,11 +165,9 @@ class Graph:
             if len(ys):
                 box[k] = xs.min(), ys.min(), xs.max() + 1, ys.max() + 1
         if self.rng.random() < 0.5:
-            return lookup(self.pick(None, extent_named("table")), self.indices["wide"],
-                          (constant_table(box), apply("covered_tiles", self.indices["wide"])))
+            return lookup(self.pick(None, extent_named("table")), self.indices["wide"], constant_table(box))
         index, box = self.indices["wide"], constant_table(box)
-        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, box,
-                                   apply("box_occupied", box, apply("covered_tiles", index))))
+        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, box, apply("occupied", index)))
 
     def _fetch(self, a):
         wide = extent_named("wide")

@@ -13,8 +13,9 @@ import numpy as np
 from ...cache.errors import GraphError
 from ..ir import UNIT, Data, Extent, Node, table
 from ..optable import Loop, apply, at, op
-from .reduce import TILE
+from .reduce import tiles_of
 
+BIN = 8  # pixels a side of an occupancy bin
 MAX_ROW = 64  # longer rows are summed in two levels, to keep every lane busy
 
 
@@ -135,12 +136,11 @@ op("weighted_gather_sum", "x rows cols weights", infer=at(1), reads="texel own t
    doc="A constant sparse matrix times a table.")
 
 
-def lookup(entries: Node, index: Node | np.ndarray, bounds: tuple[Node, Node] | None = None) -> Node:
+def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> Node:
     """`y = entries[index]`, zero where the index is negative.
 
-    A constant index (array of n) has its exact transpose at compile time. A computed index needs `bounds`: for each
-    entry the half-open pixel box (x0, y0, x1, y1) that holds every pixel naming it, and an image that is not zero for each tile of 16 x 16
-    pixels that has such pixels; or no gradient is asked for.
+    A constant index (array of n) has its exact transpose at compile time. A computed index needs `box`, for each entry the half-open
+    pixel box (x0, y0, x1, y1) that holds every pixel naming it, or no gradient is asked for.
     """
     if not isinstance(index, Node):
         index = np.asarray(index).reshape(-1)
@@ -150,10 +150,10 @@ def lookup(entries: Node, index: Node | np.ndarray, bounds: tuple[Node, Node] | 
         index = constant_table(index.astype(np.int64), -1)
     if entries.extent == UNIT and index.op.name == "constant" and (index.attrs["data"].array.reshape(-1)[:index.extent.count] == 0).all():
         return apply("broadcast", entries, extent=index.extent)
-    return apply("lookup", entries, index) if bounds is None else apply("lookup_boxed", entries, index, *bounds)
+    return apply("lookup", entries, index) if box is None else apply("lookup_boxed", entries, index, box)
 
 
-def _lookup_ref(entries, index, box=None, occupied=None):
+def _lookup_ref(entries, index, box=None):
     flat = entries.reshape(-1, entries.shape[2])
     return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
 
@@ -163,8 +163,8 @@ def _lookup_vjp(g, y, entries, index):
         own = apply("texel_index", extent=entries.extent)
         return apply("select", apply("equal", own, index), g, 0.0), None
     if index.op.name != "constant":
-        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() its bounds, or cut the "
-                         "path with stop_gradient")
+        raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() the box "
+                         "of pixels of each entry, or cut the path with stop_gradient")
     flat = index.attrs["data"].array.reshape(-1)[:index.extent.count]
     rows, cols, _ = _rows_of(flat, entries.extent.count)
     return _laid_out(gather_sum(g, rows, cols), entries.extent), None
@@ -182,49 +182,52 @@ op("lookup", "entries index", absorbs_negative=(1,), infer=at(1), reads="texel o
 def _boxed_sample(rng):
     index = rng.integers(-1, 6, (8, 9, 1))
     box = np.tile(np.array([0, 0, 9, 8]), (6, 1))
-    return [to_table(rng.normal(size=(6, 3))), index, to_table(box), np.ones((1, 1, 1), np.int64)], {}
+    return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
 
 
-def _segment_ref(values, index, box, active):
+def _segment_ref(values, index, box, occupied):
     out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
     ys, xs = np.nonzero(index[..., 0] >= 0)
     entry = index[ys, xs, 0]
     b = box.reshape(-1, 4)[entry]
-    inside = (active.reshape(-1)[entry] != 0) & (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])
+    inside = (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])
     np.add.at(out, entry[inside], np.broadcast_to(values, index.shape[:2] + values.shape[2:])[ys, xs][inside])
     return out.reshape(box.shape[0], box.shape[1], -1)
 
 
-op("lookup_boxed", "entries index box occupied", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel", ref=_lookup_ref, cost=8,
+op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8,
    glsl=_LOOKUP, sample=_boxed_sample,
-   vjp=lambda g, y, entries, index, box, occupied: (
-       apply("segment_sum", g, index, box, apply("box_occupied", box, occupied)), None, None, None),
-   doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it, `occupied` says which tiles of the "
-       "atlas have such pixels at all.")
+   vjp=lambda g, y, entries, index, box: (
+       apply("segment_sum", g, index, box, apply("occupied", index)), None, None),
+   doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
-def _box_occupied_ref(box, occupied):
-    def hit(x0, y0, x1, y1):
-        return occupied[y0 // TILE:-(-y1 // TILE), x0 // TILE:-(-x1 // TILE)].any() if x1 > x0 and y1 > y0 else False
+def _occupied_ref(index):
+    h, w, _ = index.shape
+    padded = np.full((-(-h // BIN) * BIN, -(-w // BIN) * BIN), -1)
+    padded[:h, :w] = index[..., 0]
+    return (padded.reshape(padded.shape[0] // BIN, BIN, -1, BIN).max((1, 3)) >= 0).astype(np.int64)[..., None]
 
-    return np.reshape([hit(*b) for b in box.reshape(-1, 4)], (*box.shape[:2], 1)).astype(np.int64)
 
+op("occupied", "index", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, BIN, BIN)), reads="texel", ref=_occupied_ref,
+   cost=64, glsl=f"""{{ ivec2 lo_ = {{p}} * {BIN}, hi_ = min(lo_ + {BIN}, ivec2({{index_w}}, {{index_h}}));
+    int best_ = -1;
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {{index}}(ivec2(a_, b_)));
+    {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {}),
+   doc="1 for each bin of 8 x 8 pixels in which some index is not negative.")
 
-op("box_occupied", "box occupied", infer=at(0, vtype="int"), reads="own texel", cost=20, ref=_box_occupied_ref, glsl=f"""{{y}} = 0;
-if ({{box}}.z > {{box}}.x)
-    for (int b_ = {{box}}.y / {TILE}; b_ * {TILE} < {{box}}.w; ++b_) for (int a_ = {{box}}.x / {TILE}; a_ * {TILE} < {{box}}.z; ++a_)
-        {{y}} |= {{occupied}}(ivec2(a_, b_));""",
-   sample=lambda rng: ([to_table(np.array([[0, 0, 9, 8], [20, 9, 30, 10], [0, 0, 0, 0]])), np.array([[0, 1], [0, 0]])[..., None]], {}),
-   doc="1 where some tile of the atlas that the pixel box touches is occupied.")
-
-_BOX = ("for (int b_ = {box}.y, y_ = {active} != 0 ? {box}.w : 0; b_ < y_; ++b_) for (int a_ = {box}.x; a_ < {box}.z; ++a_) { "
-        "ivec2 q_ = ivec2(a_, b_); if ({index}(q_) == {i}) {")
-op("segment_sum", "values index box active", infer=at(2), reads="texel texel own own", ref=_segment_ref, cost=400, absent=((3, 0),),
-   vjp=lambda g, y, values, index, box, active: (apply("lookup", g, index), None, None, None),
-   loop=Loop(_BOX, "{y} += {values}(q_);", "} }"),
+# Bin by bin, the empty ones as loops of no turns: machines that cannot branch around a body still leave a loop early.
+_BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_) for (int c_ = {{box}}.x / {BIN}; c_ * {BIN} < {{box}}.z; ++c_) {{\n"
+         f"ivec2 lo_ = max(ivec2(c_, d_) * {BIN}, {{box}}.xy);\n"
+         f"ivec2 hi_ = {{occupied}}(ivec2(c_, d_)) != 0 ? min(ivec2(c_, d_) * {BIN} + {BIN}, {{box}}.zw) : lo_;\n"
+         "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) { ivec2 q_ = ivec2(a_, b_); "
+         "if ({index}(q_) == {i}) {")
+op("segment_sum", "values index box occupied", infer=at(2), reads="texel texel own texel", ref=_segment_ref, cost=400,
+   vjp=lambda g, y, values, index, box, occupied: (apply("lookup", g, index), None, None, None),
+   loop=Loop(_BINS, "{y} += {values}(q_);", "} } }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
-                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), to_table(np.ones(6, np.int64))], {}),
-   doc="Transpose of lookup_boxed: for each active entry the sum over its box of the pixels that name it, in row-major order.")
+                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
+   doc="Transpose of lookup_boxed: for each entry the sum, over the occupied bins of its box, of the pixels that name it.")
 
 op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,
    ref=lambda source, xy: source[np.clip(xy[..., 1], 0, source.shape[0] - 1), np.clip(xy[..., 0], 0, source.shape[1] - 1)],

@@ -97,26 +97,6 @@ def spread(tiles: np.ndarray, width: int, height: int, tile: tuple[int, int]) ->
     return tiles.repeat(tile[1], 0).repeat(tile[0], 1)[:height, :width]
 
 
-def _padded_tiles(a: np.ndarray, fill: int) -> np.ndarray:
-    h, w = a.shape[:2]
-    out = np.full((-(-h // TILE) * TILE, -(-w // TILE) * TILE), fill, a.dtype)
-    out[:h, :w] = a
-    return out.reshape(out.shape[0] // TILE, TILE, -1, TILE)
-
-
-def _covered_tiles_ref(code):
-    return (_padded_tiles(code[..., 0], -1).max((1, 3)) >= 0).astype(np.int64)[..., None]
-
-
-op("covered_tiles", "code", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent)), reads="texel", ref=_covered_tiles_ref, cost=256,
-   glsl=lambda node: f"""{{ ivec2 lo_ = {{p}} * {TILE}, hi_ = min(lo_ + {TILE}, ivec2({{code_w}}, {{code_h}}));
-    int best_ = -1;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_)
-        best_ = max(best_, {{code}}(ivec2(a_, b_)){"" if node.inputs[0].channels == 1 else ".x"});
-    {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-300, 2, (20, 35, 1))], {}),
-   doc="1 for tiles of a raster code that hold some face.")
-
-
 def _edge_tiles_ref(code, reach):
     bits = np.where((code[..., 0] >= 0) & (code[..., 0] & 1 == 1), 2, 1)
     h, w = bits.shape

@@ -137,14 +137,12 @@ class Layers:
         self.segments = _segments(clip, topology, atlas, near)
         s = stop_gradient(self.segments)
         reach = max(softness.r, math.sqrt(2) * softness.reach) + 0.05
-        boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, len(topology.edges), atlas)
+        self.edge_boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, len(topology.edges), atlas)
         codes = self._codes()
-        self.covered = apply("covered_tiles", codes[0])
         near = apply("edge_tiles", codes[0], reach=softness.reach)
         window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": (TILE, TILE)}
         across = apply("hard_window", codes[0], near, dx=softness.reach, dy=0, **window)
         self.edge_mask = apply("edge_mask", across, near, dx=0, dy=softness.reach, **window)
-        self.edge_bounds = (boxes, near)
         self.layers = [self._layer(code if code.channels == 1 else code.x) for code in codes]
         self.stencil = self.layers[0].hard
 
@@ -170,7 +168,7 @@ class Layers:
         face = apply("shift_right", code, 1)
         edge = apply("nearest_edge", code, constant_table(self.topology.face_edges), stop_gradient(self.segments), self.position,
                      self.edge_mask, face_count=len(self.topology.faces), edge_count=len(self.topology.edges))
-        s = lookup(self.segments, edge, self.edge_bounds)
+        s = lookup(self.segments, edge, self.edge_boxes)
         a, b = s.xy, s.zw
         d, o = b - a, self.position - a
         squared = maximum(dot(d, d), 1e-20)
@@ -204,7 +202,7 @@ class Layers:
     # ---- attributes
 
     @property
-    def face_bounds(self) -> tuple[Node, Node]:
+    def face_boxes(self) -> Node:
         """For each view and face the pixels it can own."""
         t, views = self.topology, self.atlas.views
         rows = [lookup(stop_gradient(self.segments), np.concatenate([v * len(t.edges) + t.face_edges[:, k] for v in range(views)]))
@@ -212,8 +210,7 @@ class Layers:
         low = [select(s.x < 1e8, minimum(s.xy, s.zw), 1e9) for s in rows]
         high = [select(s.x < 1e8, maximum(s.xy, s.zw), -1e9) for s in rows]
         low, high = minimum(minimum(low[0], low[1]), low[2]), maximum(maximum(high[0], high[1]), high[2])
-        boxes = _boxes(low, high, low.x < 1e8, self.softness.r + 0.05, len(t.faces), self.atlas)
-        return boxes, self.covered
+        return _boxes(low, high, low.x < 1e8, self.softness.r + 0.05, len(t.faces), self.atlas)
 
     def corners(self, table: Node, per_view: bool = False) -> list[Node]:
         """Tables (views x faces) of an attribute at the three sorted corners of each face."""
@@ -225,7 +222,7 @@ class Layers:
         """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
         point; Olano and Greer 1997)."""
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
-        h = [apply("swizzle", lookup(c, layer.face, self.face_bounds), channels="xyw") * scale for c in self.corners(self.clip, True)]
+        h = [apply("swizzle", lookup(c, layer.face, self.face_boxes), channels="xyw") * scale for c in self.corners(self.clip, True)]
         a = [x.xy - layer.point * x.z for x in h]
         e = [_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])]
         total = e[0] + e[1] + e[2]
@@ -237,7 +234,7 @@ class Layers:
     def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None) -> Node:
         """A vertex attribute (V table) at the layer's point; zero where there is no face."""
         weights = weights or self.barycentrics(layer)
-        values = [lookup(c, layer.face, self.face_bounds) for c in self.corners(attribute)]
+        values = [lookup(c, layer.face, self.face_boxes) for c in self.corners(attribute)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
     def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None) -> Node:
