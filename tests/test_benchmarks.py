@@ -1,4 +1,4 @@
-"""The benchmarks run, and what they measure with is right: on small procedural targets always, on photographs where they are."""
+"""The benchmarks run, and what they measure with is right: small procedural targets always, photographs where they are."""
 
 import json
 import sys
