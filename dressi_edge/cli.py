@@ -1,7 +1,7 @@
 """`dressi-edge`: arguments in, a command of dressi_edge/commands, an exit code out.
 
-0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted. An error is one line on stderr. A command's module is imported
-when it runs, so that a device needs no more than the runtime.
+0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted. An error is one line on stderr. A command's module
+is imported when it runs, so that a device needs no more than the runtime.
 """
 from __future__ import annotations
 
@@ -58,12 +58,13 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("--json", action="store_true", help="print JSON")
 
     def device(sub, more=""):
-        sub.add_argument("--device", metavar="NAME", help=f"number or part of the name of a Vulkan device{more}; default $DRESSI_DEVICE, "
-                         "else the best there is")
+        sub.add_argument("--device", metavar="NAME", help=f"number or part of the name of a Vulkan device{more}; "
+                         "default $DRESSI_DEVICE, else the best there is")
 
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
     sub.add_argument("job", help="the job, a TOML file")
-    sub.add_argument("-p", "--profile", required=True, help="device profile: a name of `dressi-edge profiles list`, or a .json file")
+    sub.add_argument("-p", "--profile", required=True,
+                     help="device profile: a name of `dressi-edge profiles list`, or a .json file")
     sub.add_argument("-o", "--output", required=True, metavar="X.dressi", help="the bundle to write")
     json_switch(sub)
 
@@ -71,8 +72,9 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("bundle", help="the bundle; or, with --device reference, a job")
     sub.add_argument("--steps", type=_steps, metavar="N", help="iterations of each phase, instead of the job's")
     sub.add_argument("--phase", metavar="P", help="run this phase alone")
-    sub.add_argument("-o", "--output", metavar="OUT", help="OUT.glb, .gltf, .obj or .ply: the mesh, with OUT_sheet.png, OUT_loss.png and "
-                     "OUT_metrics.json beside it (needs the compiler's packages); OUT.npz: the states as arrays")
+    sub.add_argument("-o", "--output", metavar="OUT", help="OUT.glb, .gltf, .obj or .ply: the mesh, with OUT_sheet.png, "
+                     "OUT_loss.png and OUT_metrics.json beside it (needs the compiler's packages); "
+                     "OUT.npz: the states as arrays")
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     sub.add_argument("--explain", action="store_true", help="print what ran how often, and what the session occupies")
     json_switch(sub)
@@ -88,7 +90,8 @@ def parser() -> argparse.ArgumentParser:
 
     sub = command("bench", "time a bundle: each stage of each plan by device timestamps, and whole steps", target="bench:bench")
     sub.add_argument("bundle")
-    sub.add_argument("--runs", type=_steps, default=9, metavar="N", help="how often each plan runs; the median counts (default 9)")
+    sub.add_argument("--runs", type=_steps, default=9, metavar="N",
+                     help="how often each plan runs; the median counts (default 9)")
     device(sub)
     json_switch(sub)
 
@@ -97,7 +100,8 @@ def parser() -> argparse.ArgumentParser:
     json_switch(command("list", "list the profiles that come with the product", kinds, "profiles:list_all"))
     named = command("show", "print a profile's file", kinds, "profiles:show")
     named.add_argument("profile")
-    named = command("check", "say what is wrong with profiles (default: all that come with the product)", kinds, "profiles:check_all")
+    named = command("check", "say what is wrong with profiles (default: all that come with the product)", kinds,
+                    "profiles:check_all")
     named.add_argument("profile", nargs="*")
     named = command("merge", "print the intersection of profiles: what all of them allow", kinds, "profiles:merge_all")
     named.add_argument("profile", nargs="+")
@@ -111,7 +115,8 @@ def parser() -> argparse.ArgumentParser:
     json_switch(command("devices", "list the Vulkan devices", target="bundle:devices"))
 
     sub = command("demo", "from six pictures of a pear and a sphere to its shape and texture")
-    sub.add_argument("-o", "--output", metavar="DIR", default="demo_out", help="folder for the pictures and numbers (default demo_out)")
+    sub.add_argument("-o", "--output", metavar="DIR", default="demo_out",
+                     help="folder for the pictures and numbers (default demo_out)")
     device(sub)
     sub.add_argument("--quick", action="store_true", help="a tenth of the steps and small pictures: does it work at all?")
     return top
@@ -147,8 +152,8 @@ def main(argv: list[str] | None = None) -> int:
     except Exception as error:  # noqa: BLE001
         if os.environ.get("DRESSI_DEBUG"):
             raise
-        print(f"dressi-edge: defect: {type(error).__name__}: {_line(error)}; set DRESSI_DEBUG=1 for the traceback, and report it",
-              file=sys.stderr)
+        print(f"dressi-edge: defect: {type(error).__name__}: {_line(error)}; "
+              "set DRESSI_DEBUG=1 for the traceback, and report it", file=sys.stderr)
         return DEFECT
 
 

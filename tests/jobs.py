@@ -1,12 +1,17 @@
 """A tiny job with its photographs, for the tests of jobs and of the command line."""
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 
 from dressi_edge.compiler.cameras import orbit
 from dressi_edge.compiler.writers import save_png
 
+ROOT = Path(__file__).resolve().parents[1]
 SIZE = 24
 
 TINY = """
@@ -40,6 +45,12 @@ kind = "color"
 norm = "l1"
 masked = true
 """
+
+
+def command(*args, cwd=None, **env):
+    """The finished process of `dressi-edge ARGS` in an interpreter of its own."""
+    return subprocess.run([sys.executable, "-m", "dressi_edge.cli", *map(str, args)], cwd=cwd, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(ROOT), **env}, timeout=300)
 
 
 def disc(size=SIZE, radius=8.0, channels=4):

@@ -1,33 +1,24 @@
-"""The command line: each kind of failure has its exit code and one line; a job goes from text to a mesh; the device needs no compiler."""
+"""The command line: each kind of failure has its exit code and one line; a job becomes a mesh; the device needs no compiler."""
 
 import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs import TINY, write_job
+from jobs import ROOT, TINY, command, write_job
 
 from dressi_edge import cli
 from dressi_edge.cache.profile import Profile, profile_names
 from dressi_edge.commands import run as run_module
 from dressi_edge.compiler.scene import load_mesh
 
-ROOT = Path(__file__).resolve().parents[1]
-
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch):
     for name in ("DRESSI_DEVICE", "DRESSI_DEBUG", "DRESSI_DUMP"):
         monkeypatch.delenv(name, raising=False)
-
-
-def command(*args, cwd=None, **env):
-    """The finished process of `dressi-edge ARGS` in an interpreter of its own."""
-    return subprocess.run([sys.executable, "-m", "dressi_edge.cli", *map(str, args)], cwd=cwd, capture_output=True, text=True,
-                          env={**os.environ, "PYTHONPATH": str(ROOT), **env}, timeout=300)
 
 
 def here(capsys, *args):
@@ -76,13 +67,15 @@ def test_a_job_becomes_a_mesh_with_pictures_and_numbers(solved):
 
 @pytest.mark.parametrize("suffix, files", [(".obj", ["b.obj"]), (".ply", ["b.ply"]), (".npz", ["b.npz"])])
 def test_the_extension_chooses_the_output(solved, tmp_path, capsys, suffix, files):
-    code, out, _ = here(capsys, "run", solved[0] / "x.dressi", "--phase", "shape", "--steps", "2", "-o", tmp_path / f"b{suffix}", "--json")
+    code, out, _ = here(capsys, "run", solved[0] / "x.dressi", "--phase", "shape", "--steps", "2", "-o",
+                        tmp_path / f"b{suffix}", "--json")
     metrics = json.loads(out)
     assert code == 0 and list(metrics["phases"]) == ["shape"] and metrics["phases"]["shape"]["steps"] == 2
     assert set(files) <= {p.name for p in tmp_path.iterdir()}
     if suffix == ".npz":
         states = np.load(tmp_path / "b.npz")
-        assert states["vertices"].shape == (42, 3) and states["shape.step"] == 2 and [p.name for p in tmp_path.iterdir()] == ["b.npz"]
+        assert states["vertices"].shape == (42, 3) and states["shape.step"] == 2
+        assert [p.name for p in tmp_path.iterdir()] == ["b.npz"]
     else:
         assert len(load_mesh(tmp_path / f"b{suffix}").faces) == 80
 
@@ -105,7 +98,8 @@ def test_the_reference_device_agrees_with_lavapipe(solved, capsys):
 
 def test_running_without_a_mesh_imports_no_compiler(solved, tmp_path):
     code = ("import sys\nsys.modules.update(trimesh=None, PIL=None)\nfrom dressi_edge.cli import main\n"
-            "code = main(sys.argv[1:])\nassert not [m for m in sys.modules if m.startswith('dressi_edge.compiler')]\nsys.exit(code)")
+            "code = main(sys.argv[1:])\nassert not [m for m in sys.modules if m.startswith('dressi_edge.compiler')]\n"
+            "sys.exit(code)")
     for args in (["run", "--steps", "1", "-o", tmp_path / "a.npz"], ["inspect"], ["verify"]):
         done = subprocess.run([sys.executable, "-c", code, args[0], str(solved[0] / "x.dressi"), *map(str, args[1:])],
                               env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
@@ -113,6 +107,43 @@ def test_running_without_a_mesh_imports_no_compiler(solved, tmp_path):
     done = subprocess.run([sys.executable, "-c", code, "run", str(solved[0] / "x.dressi"), "-o", str(tmp_path / "a.glb")],
                           env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert "pip install 'dressi_edge[compiler]'" in done.stderr
+
+
+POSED = """
+[mesh]
+sphere = {vertices = 42, radius = 0.5}
+[views]
+transforms = "photos"
+[render]
+shading = "lambert"
+albedo = "constant"
+srgb = true
+[[light]]
+kind = "point"
+vector = [0, 2, 2]
+power = 30
+[[phase]]
+name = "pose"
+steps = 2
+optimize.rotation = {rate = 0.01}
+optimize.translation = {rate = 0.01}
+optimize."light0.power" = {optimizer = "sgd", rate = 1.0}
+[[phase.loss]]
+kind = "color"
+"""
+
+
+def test_cameras_and_lights_that_were_optimized_are_in_the_metrics(tmp_path, capsys):
+    path = write_job(tmp_path, POSED)
+    assert here(capsys, "compile", path, "-p", "vulkan_min", "-o", tmp_path / "x.dressi")[0] == 0
+    code, _, err = here(capsys, "run", tmp_path / "x.dressi", "-o", tmp_path / "out.ply")
+    assert code == 0, err
+    metrics = json.loads((tmp_path / "out_metrics.json").read_text())
+    frames = json.loads((tmp_path / "photos" / "transforms.json").read_text())["frames"]
+    for frame, name in zip(frames, ("0", "1")):
+        moved = np.array(metrics["camera_to_world"][name]) - frame["transform_matrix"]
+        assert 0.001 < np.abs(moved).max() < 0.1
+    assert len(metrics["lights"]["light0.power"]) == 3 and metrics["lights"]["light0.power"] != [30.0] * 3
 
 
 def test_inspect_counts_plans(solved, capsys):
@@ -151,8 +182,10 @@ def test_verify_says_ok_or_the_first_thing_wrong(solved, tmp_path, capsys):
 
 def test_debug_and_dump_show_what_was_compiled(tmp_path):
     write_job(tmp_path)
-    done = command("compile", tmp_path / "job.toml", "-p", "limit4", "-o", tmp_path / "x.dressi", DRESSI_DEBUG="3", DRESSI_DUMP=tmp_path / "dump")
-    assert done.returncode == 0 and "profile limit4" in done.stderr and "substage 0" in done.stderr and "void main()" in done.stderr
+    done = command("compile", tmp_path / "job.toml", "-p", "limit4", "-o", tmp_path / "x.dressi", DRESSI_DEBUG="3",
+                   DRESSI_DUMP=tmp_path / "dump")
+    assert done.returncode == 0
+    assert all(text in done.stderr for text in ("profile limit4", "substage 0", "void main()"))
     names = {p.name for p in (tmp_path / "dump").iterdir()}
     assert {"summary.txt", "stages.txt", "stages.dot", "shader000.vert"} <= names
 
@@ -167,7 +200,8 @@ def test_profiles_are_listed_shown_checked_merged_and_captured(tmp_path, capsys)
     assert code == 0 and Profile.load(tmp_path / "both.json").limit("maxColorAttachments") == 4
     code, _, _ = here(capsys, "profiles", "capture", "-n", "here", "-o", tmp_path / "here.json", "--device", "llvmpipe")
     captured = Profile.load(tmp_path / "here.json")
-    assert code == 0 and captured.limit("maxColorAttachments") == 8 and captured.format_has("R32G32B32A32_SFLOAT", "sampled", "color")
+    assert code == 0 and captured.limit("maxColorAttachments") == 8
+    assert captured.format_has("R32G32B32A32_SFLOAT", "sampled", "color")
     assert here(capsys, "profiles", "check", tmp_path / "here.json")[0] == 0
 
 
@@ -178,7 +212,8 @@ def test_devices_are_listed(capsys):
 
 @pytest.mark.parametrize("args, expected", [
     ([], "required"), (["draw"], "invalid choice: 'draw'"), (["compile", "job.toml"], "-p/--profile, -o/--output"),
-    (["run", "x.dressi", "--steps", "0"], "'0' is no whole number above 0"), (["run", "x.dressi", "--step", "3", "--frobnicate"], "--frobnicate"),
+    (["run", "x.dressi", "--steps", "0"], "'0' is no whole number above 0"),
+    (["run", "x.dressi", "--step", "3", "--frobnicate"], "--frobnicate"),
     (["inspect", "x.dressi", "--json", "--dot"], "not allowed with")])
 def test_wrong_usage_is_exit_code_2(capsys, args, expected):
     code, _, err = here(capsys, *args)
@@ -194,7 +229,8 @@ def test_wrong_usage_is_exit_code_2(capsys, args, expected):
     (["run", "x.dressi", "-o", "out.blend"], "extension .blend is unknown; known are .glb .gltf .obj .ply .npz"),
     (["run", "x.dressi", "-o", "none/out.glb"], "does not exist; create it first"),
     (["run", "x.dressi", "--device", "reference"], "runs a job (.toml)"),
-    (["run", "photos/0.png"], "not a bundle"), (["inspect", "job.toml"], "not a bundle"), (["verify", "photos"], "Is a directory"),
+    (["run", "photos/0.png"], "not a bundle"), (["inspect", "job.toml"], "not a bundle"),
+    (["verify", "photos"], "Is a directory"),
     (["profiles", "show", "limit5"], "did you mean limit"), (["profiles", "check", "photos/transforms.json"], "unknown key"),
     (["profiles", "merge", "limit4", "limit8", "-n", "A B"], "1 to 64 of a-z"),
     (["demo", "-o", "job.toml"], "cannot be made a folder")])
@@ -218,7 +254,8 @@ def test_a_bad_job_is_refused_before_anything_is_compiled(tmp_path, monkeypatch,
 
 def test_no_vulkan_device_is_exit_code_4(solved, tmp_path):
     nowhere = {"VK_DRIVER_FILES": str(tmp_path / "none.json"), "VK_ICD_FILENAMES": str(tmp_path / "none.json")}
-    for args in (["run", solved[0] / "x.dressi"], ["run", solved[0] / "x.dressi", "-o", tmp_path / "a.glb"], ["devices"], ["bench", solved[0] / "x.dressi"],
+    for args in (["run", solved[0] / "x.dressi"], ["run", solved[0] / "x.dressi", "-o", tmp_path / "a.glb"], ["devices"],
+                 ["bench", solved[0] / "x.dressi"],
                  ["demo", "-o", tmp_path / "demo"]):
         done = command(*args, **nowhere)
         assert done.returncode == 4 and "no Vulkan" in one_line(done.stderr) and "mesa-vulkan-drivers" in done.stderr, done
@@ -268,6 +305,7 @@ def test_an_interrupted_phase_keeps_what_there_is(capsys):
 
 
 def test_output_into_a_closed_pipe_is_no_error(solved):
-    done = subprocess.run(f"{sys.executable} -m dressi_edge.cli inspect {solved[0] / 'x.dressi'} | head -1", shell=True, capture_output=True,
+    done = subprocess.run(f"{sys.executable} -m dressi_edge.cli inspect {solved[0] / 'x.dressi'} | head -1", shell=True,
+                          capture_output=True,
                           text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert done.stderr == "" and done.stdout.startswith("profile lavapipe")

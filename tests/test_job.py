@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs import SIZE, TINY, disc, write_job
+from jobs import ROOT, SIZE, TINY, disc, write_job
 
 from dressi_edge.cache.errors import InputError
 from dressi_edge.compiler.job import load_job
 from dressi_edge.compiler.scene import icosphere
+from dressi_edge.compiler.views import srgb_to_linear
 from dressi_edge.compiler.writers import save_mesh, save_png
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 def replaced(old, new):
@@ -30,7 +29,8 @@ def message(path):
 
 def test_a_job_becomes_a_problem(tmp_path):
     problem = load_job(write_job(tmp_path))
-    assert problem.phases == ["shape", "paint"] and len(problem.cameras) == 2 and (problem.width, problem.height) == (SIZE, SIZE)
+    assert problem.phases == ["shape", "paint"]
+    assert len(problem.cameras) == 2 and (problem.width, problem.height) == (SIZE, SIZE)
     plans = {spec.name: spec for spec in problem.program.plans}
     assert (plans["shape"].steps, plans["paint"].steps) == (3, 2)
     assert {"vertices", "vertices.adam_m"} <= set(plans["shape"].updates) and "colors.momentum" in plans["paint"].updates
@@ -51,8 +51,7 @@ def test_linear_targets_are_decoded_and_the_albedo_is_known_to_be_linear(tmp_pat
     linear = load_job(write_job(tmp_path, replaced("transforms.json\"", "transforms.json\"\ncolor = \"linear\""))).program
     assert linear.meta["linear_albedo"] and not stored.meta["linear_albedo"]
     a, b = stored.values["targets"].initial, linear.values["targets"].initial
-    assert np.array_equal(a[..., 3], b[..., 3]) and np.allclose(b[..., :3], np.where(a[..., :3] <= 0.04045, a[..., :3] / 12.92, ((
-        a[..., :3] + 0.055) / 1.055) ** 2.4), atol=1e-6)
+    assert np.array_equal(a[..., 3], b[..., 3]) and np.allclose(b[..., :3], srgb_to_linear(a[..., :3]))
 
 
 @pytest.mark.parametrize("change, expected", [
@@ -93,7 +92,8 @@ def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path
     ("r = 2.0", "shading = \"lambertian\"", "render.shading is 'lambertian'; did you mean lambert? allowed: unlit lambert"),
     ("r = 2.0", "shading = \"lambert\"", "shading lambert needs lights"),
     ("r = 2.0", "srgb = 1", "render.srgb is 1; true or false is needed"),
-    ("[[phase]]\nname = \"shape\"", "[[light]]\nkind = \"ambient\"\npower = 1\n[[phase]]\nname = \"shape\"", "light[0] is given"),
+    ("[[phase]]\nname = \"shape\"", "[[light]]\nkind = \"ambient\"\npower = 1\n[[phase]]\nname = \"shape\"",
+     "light[0] is given"),
     ("\"colors\"\n", "\"paint\"\n", "render.albedo is 'paint'; allowed: texture colors constant"),
     ("steps = 3", "steps = 0", "phase[0].steps is 0; a whole number from 1 to 1e+08 is needed"),
     ("steps = 3", "", "phase[0].steps is missing"),
@@ -140,7 +140,8 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 
 
 @pytest.mark.parametrize("body, expected", [
-    (None, "mesh.obj does not exist"), (OBJ, "has no faces"), (OBJ.replace("v 1 0", "v nan 0") + "f 1 2 3\n", "has the value nan"),
+    (None, "mesh.obj does not exist"), (OBJ, "has no faces"),
+    (OBJ.replace("v 1 0", "v nan 0") + "f 1 2 3\n", "has the value nan"),
     (OBJ + "f 1 2 9\n", "a face names v 9, but there are 4"), ("not a mesh", "mesh.obj")])
 def test_bad_meshes(tmp_path, body, expected):
     if body is not None:
@@ -151,7 +152,8 @@ def test_bad_meshes(tmp_path, body, expected):
 
 def test_a_mesh_file_is_read_and_normalized(tmp_path):
     save_mesh(tmp_path / "mesh.ply", icosphere(1, 7.0))
-    problem = load_job(write_job(tmp_path, replaced("sphere = {vertices = 42, radius = 0.5}", "path = \"mesh.ply\"\nnormalize = true")))
+    problem = load_job(write_job(tmp_path, replaced("sphere = {vertices = 42, radius = 0.5}",
+                                                    "path = \"mesh.ply\"\nnormalize = true")))
     assert len(problem.mesh.positions) == 42 and np.isclose(np.linalg.norm(problem.mesh.positions, axis=1).max(), 1.0)
 
 
@@ -169,8 +171,10 @@ def test_bad_cameras(tmp_path):
     path = write_job(tmp_path)
     file = tmp_path / "photos" / "transforms.json"
     good = json.loads(file.read_text())
-    for change, expected in ((lambda d: d["frames"][1]["transform_matrix"].pop(), "must be (4, 4)"), (lambda d: d.update(w=99), "states 99x24 pixels"),
-                             (lambda d: d.update(frames=[]), "has no frames"), (lambda d: d.pop("camera_angle_x"), "neither camera_angle_x nor fl_x")):
+    for change, expected in ((lambda d: d["frames"][1]["transform_matrix"].pop(), "must be (4, 4)"),
+                             (lambda d: d.update(w=99), "states 99x24 pixels"),
+                             (lambda d: d.update(frames=[]), "has no frames"),
+                             (lambda d: d.pop("camera_angle_x"), "neither camera_angle_x nor fl_x")):
         document = json.loads(json.dumps(good))
         change(document)
         file.write_text(json.dumps(document))
@@ -197,7 +201,16 @@ def test_the_examples_lack_nothing_but_their_files(tmp_path, path):
 def test_the_page_names_every_key_and_its_job_is_right(tmp_path):
     page = (ROOT / "docs" / "job.md").read_text()
     source = (ROOT / "dressi_edge" / "compiler" / "job.py").read_text()
-    keys = {key for group in re.findall(r"(?:_Table|table|tables)\((.*?)\)\)", source, re.S) for key in re.findall(r'"([a-z_]+)"', group)}
+    keys = {key for group in re.findall(r"(?:_Table|table|tables)\((.*?)\)\)", source, re.S)
+            for key in re.findall(r'"([a-z_]+)"', group)}
     assert len(keys) > 25 and [key for key in sorted(keys) if not re.search(rf"\b{key}\b", page)] == []
     job = re.search(r"```toml\n(.*?)```", page, re.S)[1]
     assert load_job(write_job(tmp_path, job)).phases == ["shape"]
+
+
+def test_the_readme_is_right(tmp_path, monkeypatch):
+    text = (ROOT / "README.md").read_text()
+    program, job = (re.search(rf"```{kind}\n(.*?)```", text, re.S)[1] for kind in ("python", "toml"))
+    assert load_job(write_job(tmp_path, job)).phases == ["shape"] and len(program.splitlines()) <= 15
+    monkeypatch.chdir(tmp_path)
+    exec(program.replace("500", "2").replace("200", "2").replace("2562", "42"), {})

@@ -33,7 +33,7 @@ def pipelines(plan: Mapping) -> set[int]:
 
 
 def summary(d: Mapping) -> dict[str, dict]:
-    """Plan -> functions, substages, stages, pipelines (distinct), bytes_per_step; functions is None where the bundle does not say."""
+    """Plan -> functions (None where the bundle does not say), substages, stages, pipelines (distinct), bytes_per_step."""
     functions = d["meta"].get("functions")
     functions = functions if isinstance(functions, dict) else {}
     return {plan["name"]: {
@@ -52,8 +52,9 @@ def _size(count: float) -> str:
 
 def text(d: Mapping) -> str:
     """The summary and every stage, for people."""
-    lines = [f"profile {d['profile']['name']}: {len(d['plans'])} plans, {len(d['pipelines'])} pipelines, {len(d['shaders'])} shaders, "
-             f"{len(d['images'])} images of {_size(sum(image_bytes(i) * i['slots'] for i in d['images']))}", ""]
+    lines = [f"profile {d['profile']['name']}: {len(d['plans'])} plans, {len(d['pipelines'])} pipelines, "
+             f"{len(d['shaders'])} shaders, {len(d['images'])} images of "
+             f"{_size(sum(image_bytes(i) * i['slots'] for i in d['images']))}", ""]
     for plan in d["plans"]:
         s = summary({**d, "plans": [plan]})[plan["name"]]
         known = "" if s["functions"] is None else f"{s['functions']} functions, "
@@ -64,8 +65,8 @@ def text(d: Mapping) -> str:
             names = [v.FORMAT_NAMES.get(f, "depth") for f in formats]
             count = " ".join(f"{names.count(n)}x{n}" for n in dict.fromkeys(names))
             draws = sum(len(draw["cells"]) for subpass in stage["subpasses"] for draw in subpass)
-            lines.append(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages, {draws} draws, "
-                         f"{_size(stage_bytes(d, stage))}, attachments {count}")
+            lines.append(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages, "
+                         f"{draws} draws, {_size(stage_bytes(d, stage))}, attachments {count}")
     needs = " ".join(f"{name}={x}" for name, x in d["needs"]["limits"].items())
     return "\n".join([*lines, "", f"needs of the device: {needs}"]) + "\n"
 

@@ -20,7 +20,8 @@ def bench(args) -> None:
             results[name] = {**counts[name], "ms": sum(ms), "stage_ms": ms}
             if plan["updates"]:
                 results[name]["step_ms"] = _step(session, name, args.runs)
-        report = {"device": session.device.name, "driver": session.device.driver, "profile": d["profile"]["name"], "plans": results}
+        report = {"device": session.device.name, "driver": session.device.driver, "profile": d["profile"]["name"],
+                  "plans": results}
     if args.json:
         print_json(report)
         return
@@ -31,8 +32,8 @@ def bench(args) -> None:
         print(f"\n{plan['name']}: {row['ms']:.2f} ms on the device, {row['bytes_per_step'] / 1e6:.2f} MB{whole}")
         for k, (stage, ms) in enumerate(zip(plan["stages"], row["stage_ms"])):
             share = 100 * ms / row["ms"] if row["ms"] else 0.0
-            print(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages {stage_bytes(d, stage) / 1e6:8.2f} MB "
-                  f"{ms:8.3f} ms {share:5.1f} %")
+            print(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages "
+                  f"{stage_bytes(d, stage) / 1e6:8.2f} MB {ms:8.3f} ms {share:5.1f} %")
 
 
 def _step(session, phase: str, runs: int) -> float:

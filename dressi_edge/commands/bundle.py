@@ -20,7 +20,8 @@ def verify(args) -> None:
     from ..cache import bundle
     found = bundle.read(args.bundle)
     d = found.description
-    print(f"OK {args.bundle}: profile {d['profile']['name']}, {len(d['plans'])} plans, {len(d['blobs'])} blobs, sha256 {found.digest}")
+    print(f"OK {args.bundle}: profile {d['profile']['name']}, {len(d['plans'])} plans, {len(d['blobs'])} blobs, "
+          f"sha256 {found.digest}")
 
 
 def devices(args) -> None:

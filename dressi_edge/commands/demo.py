@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 import time
 
@@ -40,7 +39,7 @@ def demo(args) -> int:
         _say(f"{device.name}, {device.driver}")
         with solved(problems.picture(target, cameras), "target") as session:
             images = session.get("render.color")
-        _say(f"the target: a pear of {len(target.faces)} faces in {len(cameras)} views of {size} x {size}, drawn by dressi_edge")
+        _say(f"the target: a pear of {len(target.faces)} faces in {len(cameras)} views of {size} x {size}, drawn by ourselves")
         session = solved(problems.reconstruction(images, cameras, shape_steps, texture_steps), "demo")
         with session:
             first = results.mesh_of(session)
@@ -59,9 +58,11 @@ def demo(args) -> int:
             metrics = results.write(session, os.path.join(folder, "pear.glb"), curves, before, metrics, rows)
     _say("")
     for name, p in phases.items():
-        _say(f"{name}: {p['steps']} steps, loss {p['loss_first']:.5f} -> {p['loss_last']:.5f}, {p['ms_per_step']:.1f} ms a step")
+        _say(f"{name}: {p['steps']} steps, loss {p['loss_first']:.5f} -> {p['loss_last']:.5f}, "
+             f"{p['ms_per_step']:.1f} ms a step")
     views = metrics["views"]
-    _say(f"mean distance of our vertices to the true surface: {distance['start']:.4f} -> {distance['end']:.4f} (the pear's radius is 1)")
+    _say(f"mean distance of our vertices to the true surface: {distance['start']:.4f} -> {distance['end']:.4f}, "
+         "where the pear's radius is 1")
     _say(f"silhouettes overlap (IoU): {views['iou_mean']:.4f}; colours inside them: {views['psnr_mean']:.1f} dB")
     _say(f"in {folder}: {' '.join(metrics['files'].values())}; {time.perf_counter() - began:.0f} s in all")
     return 0
@@ -73,4 +74,3 @@ def _distance(mesh: Mesh, target: Mesh) -> float:
 
 def _say(text: str) -> None:
     print(text, flush=True)
-    sys.stdout.flush()

@@ -14,8 +14,8 @@ def list_all(args) -> None:
         print_json({p.name: {"description": p.description, "date": p.date, "digest": p.digest} for p in profiles})
         return
     for p in profiles:
-        print(f"{p.name:22} {p.limit('maxPerStageDescriptorInputAttachments'):>10} input, {p.limit('maxColorAttachments')} colour attachments  "
-              f"{p.description}")
+        print(f"{p.name:22} {p.limit('maxPerStageDescriptorInputAttachments'):>10} input, "
+              f"{p.limit('maxColorAttachments')} colour attachments  {p.description}")
 
 
 def show(args) -> None:
@@ -51,7 +51,8 @@ def capture(args) -> None:
             found = device.format_features(getattr(vk, f"VK_FORMAT_{short}"))[1]
             formats[short] = [flag for flag, bit in bits.items() if found & bit]
         day = datetime.date.today().isoformat()
-        profile = from_device(device.limits, device.features, formats, name, description=f"{device.name}, {device.driver}, as found",
+        profile = from_device(device.limits, device.features, formats, name,
+                              description=f"{device.name}, {device.driver}, as found",
                               source=f"reported by {device.driver} for {device.name}, {day}", date=day,
                               api_version=".".join(map(str, device.api_version)))
     _give(profile, args.output)

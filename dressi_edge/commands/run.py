@@ -34,8 +34,7 @@ class Progress:
 
 
 def solve(session, phase: str, steps: int, curve: list) -> dict:
-    """Step a phase, appending (iterations done, loss) to `curve`; what is known of it afterwards. On KeyboardInterrupt the step in
-    flight is finished."""
+    """Step a phase, appending (iterations done, loss) to `curve`; what is known of it then. KeyboardInterrupt ends it early."""
     has_loss = f"{phase}.loss" in session.values
     progress, every = Progress(phase, steps), max(1, steps // POINTS)
     session.step(0, phase)
@@ -65,7 +64,8 @@ def solve(session, phase: str, steps: int, curve: list) -> dict:
         sys.stderr.write(f"\nstopped {phase} after {done} of {steps} steps\n")
         measure(done)
     count = sum(n for _, n in timed)
-    out = {"steps": done, "seconds": spent, "ms_per_step": sum(t for t, _ in timed) / count * 1e3 if count else spent / max(done, 1) * 1e3}
+    each = sum(t for t, _ in timed) / count if count else spent / max(done, 1)
+    out = {"steps": done, "seconds": spent, "ms_per_step": each * 1e3}
     if curve:
         out |= {"loss_first": curve[0][1], "loss_last": curve[-1][1]}
     return out | ({"interrupted": True} if stopped else {})
@@ -82,7 +82,8 @@ def _open(args):
         problem.program.meta.update(record(problem))
         return ReferenceSession(problem.program)
     if args.bundle.endswith(".toml"):
-        raise InputError(f"{args.bundle} is a job; make a bundle of it first: dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
+        raise InputError(f"{args.bundle} is a job; make a bundle of it first: "
+                         f"dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
     from .. import runtime
     return runtime.load(args.bundle, args.device)
 

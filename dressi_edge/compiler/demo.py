@@ -20,7 +20,7 @@ LIGHTS = (Light("directional", 2.2, (-0.5, -0.8, -0.45)), Light("directional", 0
 
 def cameras(size: int) -> tuple[Camera, ...]:
     """Six cameras around the unit ball, by turns above and below the horizon."""
-    return orbit(VIEWS, (25.0, -25.0), 2.5, 46.0, (size, size))
+    return orbit(VIEWS, (25.0, -25.0), 2.5, 52.0, (size, size))
 
 
 def picture(mesh: Mesh, views: Sequence[Camera]) -> Problem:
@@ -45,10 +45,12 @@ def reconstruction(images: np.ndarray, views: Sequence[Camera], shape_steps: int
     """From the sphere to images (n, h, w, 4): the shape by silhouettes, then the albedo texture."""
     names = tuple(f"view {k}" for k in range(len(views)))
     side = views[0].width
+    # Stiff at first: what six silhouettes leave open would else end in folds. epsilon: what no silhouette moves stays calm.
+    smooth = Schedule(200.0, 10.0, max(1, shape_steps * 3 // 4), "exponential")
     problem = Problem(start(), Views(np.clip(images, 0.0, 1.0).astype(np.float32), tuple(views), names), albedo="texture",
                       texture_size=(side * 3 // 2, side))
-    problem.phase("shape", shape_steps, {"vertices": Adam(Schedule(0.01, 0.001, shape_steps, "exponential"))},
-                  [Loss("silhouette"), Loss("laplacian", 0.05)], Softness(2.0))
+    problem.phase("shape", shape_steps, {"vertices": Adam(Schedule(0.01, 0.001, shape_steps, "exponential"), epsilon=1e-5)},
+                  [Loss("silhouette"), Loss("laplacian", smooth, power=2), Loss("normal_consistency", 0.01)], Softness(2.0))
     problem.phase("texture", texture_steps, {"texture": Adam(Schedule(0.05, 0.005, texture_steps, "exponential"))},
                   [Loss("color", masked=True)], SHARP)
     problem.render("render", SHARP)
@@ -58,7 +60,7 @@ def reconstruction(images: np.ndarray, views: Sequence[Camera], shape_steps: int
 def surface_distance(points: np.ndarray, mesh: Mesh) -> np.ndarray:
     """Distance of each point (n, 3) to the nearest point of the mesh's triangles; brute force.
 
-    Source: Ericson, Real-Time Collision Detection (2005), section 5.1.5: inside the prism it is the plane, outside the nearest edge.
+    Inside the triangle's prism it is the distance to the plane, outside that to the nearest edge.
     """
     corners = mesh.positions[mesh.faces]
     nearest = np.empty(len(points))

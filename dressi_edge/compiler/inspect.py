@@ -25,7 +25,8 @@ def stages_text(assembler) -> str:
         lines.append(f"plan {name}")
         for k, stage in enumerate(stages):
             for j, s in enumerate(stage.substages):
-                lines.append(f"  stage {k} substage {j} {s.extent.width} x {s.extent.height}: {' '.join(n.op.name for n in s.nodes)}")
+                lines.append(f"  stage {k} substage {j} {s.extent.width} x {s.extent.height}: "
+                             + " ".join(n.op.name for n in s.nodes))
                 lines.append("    reads " + (" ".join(f"{x.name}:{mode}" for x, mode in s.reads) or "nothing"))
                 lines.append("    writes " + " ".join(f"{n.name} ({n.op.name} {n.vtype})" for n in s.outputs))
     return "\n".join(lines) + "\n"
@@ -48,8 +49,10 @@ def trace(description: dict, assembler) -> None:
     if folder:
         try:
             Path(folder).mkdir(parents=True, exist_ok=True)
-            for name, content in (("summary.txt", text(description)), ("stages.txt", stages_text(assembler)), ("stages.dot", dot(description)),
+            for name, content in (("summary.txt", text(description)), ("stages.txt", stages_text(assembler)),
+                                  ("stages.dot", dot(description)),
                                   *((f"shader{k:03}.{stage}", source) for k, (stage, source) in enumerate(assembler.shaders))):
                 (Path(folder) / name).write_text(content, encoding="utf-8")
         except OSError as error:
-            raise InputError(f"DRESSI_DUMP={folder}: cannot be written: {error.strerror}; name a folder that can be, or unset it") from None
+            raise InputError(f"DRESSI_DUMP={folder}: cannot be written: {error.strerror}; "
+                             "name a folder that can be, or unset it") from None

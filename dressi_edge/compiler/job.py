@@ -1,7 +1,7 @@
 """Job files: TOML in, a checked `Problem` out, with a plan "render" that draws every view sharply. docs/job.md lists the keys.
 
-Numbers, words and keys are checked before any file is read, and files before anything is built. Every mistake is an InputError of one
-line: the job file, the key as table.key, what was found, what is allowed.
+Numbers, words and keys are checked before any file is read, and files before anything is built. Every mistake is an InputError
+of one line: the job file, the key as table.key, what was found, what is allowed.
 """
 from __future__ import annotations
 
@@ -69,11 +69,13 @@ class _Table:
             raise InputError(f"{self.file}: {self._at(key)} is missing; it is needed")
         return default
 
-    def number(self, key: str, default=_NEEDED, low: float = -math.inf, high: float = math.inf, whole: bool = False, above: bool = False):
+    def number(self, key: str, default=_NEEDED, low: float = -math.inf, high: float = math.inf, whole: bool = False,
+               above: bool = False):
         x = self.get(key, default)
         if key not in self.value:
             return x
-        good = isinstance(x, int if whole else (int, float)) and not isinstance(x, bool) and math.isfinite(x) and low <= x <= high
+        good = isinstance(x, int if whole else (int, float)) and not isinstance(x, bool)
+        good = good and math.isfinite(x) and low <= x <= high
         if not good or above and x == low:
             span = f"{'above' if above else 'from'} {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
             raise self.wrong(key, x, f"a {'whole ' if whole else ''}number{'' if low == -math.inf else ' ' + span} is needed")
@@ -162,7 +164,8 @@ def parse_job(document: dict, path: str | Path) -> Problem:
     render, settings = _render(job)
     lights = [_light(x) for x in job.tables("light", ("kind", "power", "vector"))]
     if settings["shading"] == "unlit" and lights:
-        raise InputError(f"{path}: light[0] is given, but render.shading is 'unlit'; set render.shading = \"lambert\", or drop it")
+        raise InputError(f"{path}: light[0] is given, but render.shading is 'unlit'; "
+                         "set render.shading = \"lambert\", or drop it")
     softs = [(p, {**settings["soft"], **p.soft}) for p in phases]
 
     mesh, views = make_mesh(), make_views()
@@ -222,7 +225,8 @@ def _views(job: _Table, folder: Path):
     images = t.get("images", None)
     if (gltf is None) != (images is None):
         raise t.conflict("gltf and images belong together; transforms names its images itself")
-    if images is not None and not isinstance(images, str) and not (isinstance(images, list) and all(isinstance(i, str) for i in images)):
+    listed = images if isinstance(images, list) else [images]
+    if images is not None and not (listed and all(isinstance(i, str) for i in listed)):
         raise t.wrong("images", images, "a folder or a list of files is needed")
 
     def make() -> Views:
@@ -237,8 +241,8 @@ def _views(job: _Table, folder: Path):
 
 
 def _render(job: _Table) -> tuple[_Table, dict]:
-    t = _Table(job.get("render", {}), "render", (*SOFT, "shading", "albedo", "albedo_color", "srgb", "background", "texture_size",
-                                                 "wrap", "texture_grad"), job.file)
+    t = _Table(job.get("render", {}), "render", (*SOFT, "shading", "albedo", "albedo_color", "srgb", "background",
+                                                 "texture_size", "wrap", "texture_grad"), job.file)
     settings = {"shading": t.word("shading", "unlit", SHADINGS), "albedo": t.word("albedo", None, ALBEDOS),
                 "albedo_color": t.numbers("albedo_color", 3, (0.5,) * 3, 0, 1), "srgb": t.flag("srgb", False),
                 "background": t.numbers("background", 3, (0.0,) * 3, 0, 1),
@@ -283,7 +287,8 @@ def _phase(t: _Table) -> _Phase:
     name, steps = t.word("name"), t.number("steps", low=1, high=10 ** 8, whole=True)
     optimize = t.get("optimize")
     if not isinstance(optimize, dict) or not optimize:
-        raise t.wrong("optimize", optimize, "a table of parameters such as vertices = {optimizer = \"adam\", rate = 0.01} is needed")
+        raise t.wrong("optimize", optimize, "a table of parameters such as "
+                      "vertices = {optimizer = \"adam\", rate = 0.01} is needed")
     inner = _Table(optimize, f"{t.where}.optimize", optimize, t.file)
     losses = [_loss(x, steps) for x in t.tables("loss", ("kind", "weight", "norm", "masked", "power"))]
     if not losses:
@@ -323,8 +328,8 @@ def _loss(t: _Table, steps: int) -> Loss:
     of_image = kind in IMAGE_LOSSES
     if wrong := t.has("power") if of_image or kind == "normal_consistency" else t.has("norm", "masked"):
         raise t.conflict(f"{wrong[0]} is no setting of loss {kind}; drop it")
-    return t.checked(Loss, kind, _schedule(t, "weight", steps, 1.0), t.word("norm", "l2", ("l1", "l2")), t.flag("masked", False),
-                     t.number("power", 1, 1, 2, whole=True))
+    return t.checked(Loss, kind, _schedule(t, "weight", steps, 1.0), t.word("norm", "l2", ("l1", "l2")),
+                     t.flag("masked", False), t.number("power", 1, 1, 2, whole=True))
 
 
 def _albedo(phases: list[_Phase], mesh: Mesh) -> str:

@@ -1,6 +1,7 @@
-"""The program of a problem run in NumPy float64, with the face of a runtime session: the oracle behind `run JOB.toml --device reference`.
+"""The program of a problem run in NumPy float64, with the face of a runtime session: what `--device reference` runs.
 
-In: a `Program`. Out: set, get, step and loss as `dressi_edge.runtime.Session` has them. Nothing is cached, packed or rounded; slow.
+In: a `Program`. Out: set, get, step and loss as `dressi_edge.runtime.Session` has them. Nothing is cached, packed or
+rounded; slow.
 """
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ class ReferenceSession:
         self.specs = {spec.name: spec for spec in program.plans}
         self.plans = {spec.name: {"name": spec.name, "steps": spec.steps, "updates": [names.index(n) for n in spec.updates],
                                   "outputs": [names.index(n) for n in spec.outputs]} for spec in program.plans}
-        self.bundle = SimpleNamespace(description={"meta": program.meta, "profile": {"name": "reference", "digest": "reference"},
+        self.bundle = SimpleNamespace(description={"meta": program.meta,
+                                                   "profile": {"name": "reference", "digest": "reference"},
                                                    "values": list(self.values.values()), "plans": list(self.plans.values())})
         self.device = SimpleNamespace(name="NumPy float64", driver="reference")
         self.phases = [spec.name for spec in program.plans if spec.updates]

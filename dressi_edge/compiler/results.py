@@ -1,6 +1,6 @@
 """What a run leaves behind: the mesh with its texture, a contact sheet, a loss curve, and numbers.
 
-In: a session (of the runtime, or of `reference_session`) and the loss curves of its phases. Out: files beside each other, and metrics.
+In: a session (of the runtime, or of `reference_session`) and the loss curves of its phases. Out: files and metrics.
 What the bundle must carry for that is its "meta", written by `record`: faces, uvs, phases, names of the images, cameras.
 """
 from __future__ import annotations
@@ -45,10 +45,12 @@ def record(problem) -> dict:
     mesh, cameras = problem.mesh, problem.cameras
     names = problem.views.names if isinstance(problem.views, Views) else tuple(f"view {k}" for k in range(len(cameras)))
     meta = {"linear_albedo": problem.srgb, "linear_images": False, **problem.program.meta}  # linear: not sRGB encoded
-    meta |= {"faces": _pack(mesh.faces, "<i4"), "albedo": problem.albedo, "albedo_color": [float(x) for x in problem.albedo_color],
+    meta |= {"faces": _pack(mesh.faces, "<i4"), "albedo": problem.albedo,
+             "albedo_color": [float(x) for x in problem.albedo_color],
              "phases": [[spec.name, spec.steps] for spec in problem.program.plans if spec.name in problem.phases],
              "images": list(names), "image_size": [problem.width, problem.height],
-             "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far] for c in cameras]}
+             "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far]
+                         for c in cameras]}
     if mesh.uvs is not None:
         meta |= {"uvs": _pack(mesh.uvs, "<f8"), "uv_faces": _pack(mesh.uv_faces, "<i4")}
     return meta
@@ -105,7 +107,7 @@ def targets(session) -> np.ndarray | None:
 
 
 def measure(drawn: np.ndarray, wanted: np.ndarray) -> dict:
-    """IoU of the silhouettes at half coverage, and PSNR of the colours (dB) where both are at least that; lowest and mean over views."""
+    """IoU of the silhouettes at half coverage, and PSNR of the colours (dB) where both are at least that: mean, lowest."""
     iou, psnr = [], []
     for a, b in zip(drawn, wanted):
         inside, target = a[..., 3] >= 0.5, b[..., 3] >= 0.5
@@ -131,7 +133,7 @@ def check_output(session, out: str | Path) -> Path:
 
 def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, float]]], before: np.ndarray | None,
           metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = ()) -> dict:
-    """Writes OUT, and OUT's stem with _sheet.png, _loss.png and _metrics.json; the metrics, with what was measured and the files.
+    """Writes OUT, and OUT's stem with _sheet.png, _loss.png and _metrics.json; gives the metrics, with what was measured.
 
     curves: losses by phase, (iterations done, loss). before: `snapshot` of the start. extra_rows: more rows for the sheet.
     """
@@ -167,11 +169,12 @@ def _found(session) -> dict:
     d = session.bundle.description
     changed = {d["values"][k]["name"] for plan in d["plans"] for k in plan["updates"]}
     out: dict = {}
-    lights = {name: np.asarray(session.get(name)).tolist() for name in sorted(changed) if name.startswith("light") and name.count(".") == 1}
+    lights = {name: np.asarray(session.get(name)).tolist() for name in sorted(changed)
+              if name.startswith("light") and name.count(".") == 1}
     if lights:
         out["lights"] = lights
     if changed & {"rotation", "translation"}:
-        rotation, translation = np.asarray(session.get("rotation"), np.float64), np.asarray(session.get("translation"), np.float64)
+        rotation, translation = (np.asarray(session.get(name), np.float64) for name in ("rotation", "translation"))
         poses = []
         for row, turn, shift in zip(meta_of(session)["cameras"], rotation, translation):
             base, pose = np.array(row[:12], np.float64).reshape(3, 4), np.eye(4)

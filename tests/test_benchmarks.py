@@ -1,0 +1,134 @@
+"""The benchmarks run, and what they measure with is right: small procedural targets always, photographs where they are."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SHARED
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import metrics
+import reconstruct
+import sphere_to_spot
+
+from dressi_edge.compiler.scene import icosphere
+
+
+def test_distances_of_concentric_spheres_are_the_difference_of_their_radii():
+    big, small = icosphere(4, 1.0), icosphere(4, 0.9)
+    d = metrics.Surface(big.positions, big.faces).measure(small.positions, small.faces)
+    assert d.vertex == pytest.approx(0.1, abs=0.002)
+    assert d.chamfer == pytest.approx(0.1, abs=0.002)
+    assert d.normal < 3.0
+    turned = metrics.Surface(big.positions, big.faces[:, ::-1]).measure(small.positions, small.faces)
+    assert turned.normal > 177.0
+
+
+def test_a_mesh_is_near_itself_but_for_the_gaps_between_samples():
+    ball = icosphere(3, 1.0)
+    d = metrics.Surface(ball.positions, ball.faces).measure(ball.positions, ball.faces)
+    assert max(d.vertex, d.chamfer) < 0.005
+
+
+def test_samples_spread_over_the_area():
+    corners = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0, 0, 5], [1, 0, 5], [0, 1, 5]])
+    points, normals = metrics.sample_surface(corners, np.array([[0, 1, 2], [3, 4, 5]]), 20000)
+    large = points[:, 2] == 0.0
+    assert large.mean() == pytest.approx(0.9, abs=0.01)
+    np.testing.assert_allclose(points[large].mean(axis=0), [1, 1, 0], atol=0.05)
+    np.testing.assert_allclose(normals, [[0, 0, 1]] * len(points), atol=1e-12)
+
+
+def test_iou_counts_masks_at_half_coverage():
+    a, b = np.zeros((2, 4, 4)), np.zeros((2, 4, 4))
+    a[0, :2], b[0, 1:3] = 0.6, 0.9
+    b[0, 3] = 0.5  # not over a half
+    np.testing.assert_allclose(metrics.silhouette_iou(a, b), [1 / 3, 1.0])
+
+
+def test_psnr_looks_inside_the_mask_only():
+    target, ours = np.zeros((1, 4, 4, 4)), np.ones((1, 4, 4, 4))
+    target[0, :2] = [0.5, 0.5, 0.5, 1.0]
+    ours[0, :2, :, :3] = 0.6
+    both, strict = metrics.psnr_in_mask(ours, target)
+    assert both == pytest.approx(20.0) and strict == pytest.approx(20.0)
+    ours[0, 0, :, 3] = 0.0  # half of it is not seen, so it is black there
+    both, strict = metrics.psnr_in_mask(ours, target)
+    assert both == pytest.approx(20.0)
+    assert strict == pytest.approx(-10 * np.log10((0.01 + 0.25) / 2))
+
+
+def test_a_texture_grows_without_moving_and_its_unseen_texels_take_their_neighbours_colour():
+    ramp = np.repeat(np.arange(8.0)[:, None, None], 4, 1).repeat(3, 2)
+    fine = reconstruct.finer(ramp, 2)
+    assert fine.shape == (16, 8, 3)
+    np.testing.assert_allclose(fine[2:14, 3, 1], (np.arange(2, 14) + 0.5) / 2 - 0.5)
+    image, known = np.zeros((5, 5, 3)), np.zeros((5, 5), bool)
+    image[2, 2], known[2, 2] = 0.7, True
+    np.testing.assert_allclose(reconstruct.filled(image, known), 0.7)
+
+
+def run(module, folder, *arguments) -> dict:
+    """The JSON that a benchmark writes; its pictures are there."""
+    module.main(["--quick", "--out", str(folder), "--json", str(folder / "out.json"), *map(str, arguments)])
+    assert (folder / "contact.png").stat().st_size > 1000
+    assert (folder / "loss.png").stat().st_size > 1000
+    document = json.loads((folder / "out.json").read_text())
+    assert {"device", "versions", "results"} <= document.keys()
+    assert all({"case", "ms"} <= row.keys() for row in document["results"])
+    return document
+
+
+def test_sphere_to_spot_quick(tmp_path):
+    document = run(sphere_to_spot, tmp_path)
+    assert [row["case"] for row in document["results"]] == ["same", "hard"]
+    for row in document["results"]:
+        assert row["distance_40"] < 0.7 * document["start_distance"]
+        assert row["iou"] > 0.9
+
+
+def check(document, cases):
+    assert [row["case"] for row in document["results"]] == cases
+    assert document["recipe"]["layers"] == 1
+    for row in document["results"]:
+        assert all(np.isfinite(x) for x in row.values() if not isinstance(x, str))
+        assert 0.3 < row["iou"] <= 1.0
+
+
+SPOT = ["spot silhouettes", "spot texture", "spot shape by colour", "spot texture again"]
+BUNNY = ["bunny silhouettes", "bunny more silhouettes", "bunny shading"]
+
+
+@pytest.mark.parametrize("name, cases", [("spot", SPOT), ("bunny", BUNNY)])
+def test_reconstruction_quick(tmp_path, name, cases):
+    check(run(reconstruct, tmp_path, name), cases)
+    assert (tmp_path / "mesh.glb").stat().st_size > 1000
+    assert (tmp_path / "shape.png").stat().st_size > 1000
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name, cases", [("spot", SPOT), ("bunny", BUNNY)])
+def test_reconstruction_of_photographs_quick(tmp_path, shared_dir, name, cases):
+    check(run(reconstruct, tmp_path, name, "--data", shared_dir), cases)
+
+
+def test_missing_data_is_one_line(tmp_path):
+    for module, arguments in ((reconstruct, ["spot"]), (sphere_to_spot, [])):
+        with pytest.raises(SystemExit, match="does not exist: give the folder"):
+            module.main([*arguments, "--data", str(tmp_path), "--out", str(tmp_path)])
+
+
+@pytest.mark.skipif(not (SHARED / "protocol").is_dir(), reason="no shared/protocol beside the checkout")
+def test_distances_are_those_of_the_protocol(monkeypatch):
+    monkeypatch.syspath_prepend(str(SHARED / "protocol"))
+    monkeypatch.delitem(sys.modules, "metrics")
+    import metrics as protocol
+    rng = np.random.default_rng(5)
+    truth, ours = icosphere(3, 0.9), icosphere(4, 0.8)
+    moved = ours.positions + rng.normal(scale=0.02, size=ours.positions.shape)
+    expected = protocol.distances(moved, ours.faces, truth.positions, truth.faces)
+    found = reconstruct.metrics.Surface(truth.positions, truth.faces).measure(moved, ours.faces)
+    np.testing.assert_allclose(found[:2], expected, rtol=1e-3)
