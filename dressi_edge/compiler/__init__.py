@@ -18,7 +18,8 @@ from .program import Program
 __all__ = ["Program", "compile_program", "describe"]
 
 
-def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True, stage_packing: bool = True) -> tuple[dict, Assembler]:
+def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True,
+             stage_packing: bool = True) -> tuple[dict, Assembler]:
     """The bundle's description without blobs, and the assembler that holds them and the stages."""
     assembler = Assembler(program, profile, naive, cache, stage_packing)
     description = assembler.assemble()

@@ -218,7 +218,8 @@ class _Emitter:
                           "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
 
 
-def emit(stage: Substage, profile: Profile, guard: Guard | None = None, inner: Collection[Node] = ()) -> tuple[list[DrawCode], list[Binding]]:
+def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
+         inner: Collection[Node] = ()) -> tuple[list[DrawCode], list[Binding]]:
     """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
     read as input attachments, written by an earlier subpass of the same render pass."""
     e = _Emitter(stage, profile, guard, inner)
@@ -227,8 +228,8 @@ def emit(stage: Substage, profile: Profile, guard: Guard | None = None, inner: C
         if guard is None or guard.tile is None:
             return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
         slot, tiles = e.slots[guard.node, SAMPLED, ""], guard.node.extent
-        body = _mark(TILES, {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width, "h": stage.extent.height,
-                             "tiles": f"T{slot}"})
+        body = _mark(TILES, {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width,
+                             "h": stage.extent.height, "tiles": f"T{slot}"})
         vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", body, "}", ""])
         return [DrawCode(vertex, fragment, 6 * tiles.count)], e.bindings
     node = stage.nodes[0]

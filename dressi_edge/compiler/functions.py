@@ -11,9 +11,9 @@ from .ops.reduce import mean, total
 from .ops.vector import compose
 from .optable import apply
 
-__all__ = ["absolute", "apply", "channels", "clamp", "compose", "constant", "constant_table", "cross", "dot", "equal", "gather_sum", "length", "lookup",
-           "maximum", "mean", "minimum", "mix", "normalize", "not_equal", "select", "sigmoid", "sqrt", "stop_gradient", "to_float",
-           "to_int", "total"]
+__all__ = ["absolute", "apply", "channels", "clamp", "compose", "constant", "constant_table", "cross", "dot", "equal",
+           "gather_sum", "length", "lookup", "maximum", "mean", "minimum", "mix", "normalize", "not_equal", "select",
+           "sigmoid", "sqrt", "stop_gradient", "to_float", "to_int", "total"]
 
 
 def select(c, a, b) -> Node:

@@ -20,7 +20,8 @@ class ShaderError(DressiError):
 def _tool(name: str) -> str:
     path = shutil.which(name)
     if path is None:
-        raise ShaderError(f"{name} not found; the compiler needs glslang and SPIRV-Tools (Debian: apt-get install glslang-tools spirv-tools)")
+        raise ShaderError(f"{name} not found; the compiler needs glslang and SPIRV-Tools "
+                          "(Debian: apt-get install glslang-tools spirv-tools)")
     return path
 
 

@@ -217,7 +217,8 @@ op("occupied", "index", infer=lambda name, inputs, attrs: ("int", tiles_of(input
    doc="1 for each bin of 8 x 8 pixels in which some index is not negative.")
 
 # Bin by bin, the empty ones as loops of no turns: machines that cannot branch around a body still leave a loop early.
-_BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_) for (int c_ = {{box}}.x / {BIN}; c_ * {BIN} < {{box}}.z; ++c_) {{\n"
+_BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"
+         f"for (int c_ = {{box}}.x / {BIN}; c_ * {BIN} < {{box}}.z; ++c_) {{\n"
          f"ivec2 lo_ = max(ivec2(c_, d_) * {BIN}, {{box}}.xy);\n"
          f"ivec2 hi_ = {{occupied}}(ivec2(c_, d_)) != 0 ? min(ivec2(c_, d_) * {BIN} + {BIN}, {{box}}.zw) : lo_;\n"
          "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) { ivec2 q_ = ivec2(a_, b_); "

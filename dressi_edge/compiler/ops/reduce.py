@@ -105,8 +105,9 @@ def _edge_tiles_ref(code, reach):
     return np.array(out, np.int64)[..., None]
 
 
-op("edge_tiles", "code", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent)), reads="texel", ref=_edge_tiles_ref, cost=400,
-   glsl=lambda node: f"""{{ ivec2 lo_ = max({{p}} * {TILE} - {{reach}}, ivec2(0)), hi_ = min({{p}} * {TILE} + ({TILE} + {{reach}}), ivec2({{code_w}}, {{code_h}}));
+op("edge_tiles", "code", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent)), reads="texel", ref=_edge_tiles_ref,
+   cost=400, glsl=lambda node: f"""{{ ivec2 lo_ = max({{p}} * {TILE} - {{reach}}, ivec2(0));
+    ivec2 hi_ = min({{p}} * {TILE} + ({TILE} + {{reach}}), ivec2({{code_w}}, {{code_h}}));
     int near_ = 0;
     for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
         int s_ = {{code}}(ivec2(a_, b_)){"" if node.inputs[0].channels == 1 else ".x"};

@@ -95,7 +95,8 @@ class Problem:
         if len(sizes) != 1:
             raise InputError(f"cameras have sizes {sorted(sizes)}; one size is needed")
         for name, value, allowed in (("order", self.order, ORDERS), ("shading", self.shading, SHADINGS), ("albedo", self.albedo, ALBEDOS),
-                                     ("wrap", self.wrap, ("repeat", "clamp")), ("texture_grad", self.texture_grad, ("exact", "inverse_uv"))):
+                                     ("wrap", self.wrap, ("repeat", "clamp")),
+                                     ("texture_grad", self.texture_grad, ("exact", "inverse_uv"))):
             if value not in allowed:
                 raise InputError(f"{name} is {value!r}; allowed: {' '.join(allowed)}")
         if self.shading == "lambert" and not self.lights:
@@ -158,7 +159,8 @@ class Problem:
     def _target(self, atlas: Atlas, view: Node | None) -> Node:
         if view is None:
             return self.targets
-        corner = compose(apply("imod", view, self.all_views.columns) * self.width, apply("idiv", view, self.all_views.columns) * self.height)
+        columns = self.all_views.columns
+        corner = compose(apply("imod", view, columns) * self.width, apply("idiv", view, columns) * self.height)
         half = compose(self.width / 2, self.height / 2)
         own = to_int(apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height) + half)
         return apply("fetch", self.targets, own + corner)
@@ -199,7 +201,8 @@ class Problem:
         over = target.xyz * alpha + compose(*self.background) * (1.0 - alpha)
         return norm(color(), over, mask)
 
-    def phase(self, name: str, steps: int, optimize: Mapping[str, Adam | Sgd], losses: Sequence[Loss], softness: Softness | None = None) -> None:
+    def phase(self, name: str, steps: int, optimize: Mapping[str, Adam | Sgd], losses: Sequence[Loss],
+              softness: Softness | None = None) -> None:
         """Add a phase: `steps` iterations that optimize the named parameters by the sum of the losses."""
         if name in self.phases or not name or "." in name:
             raise InputError(f"phase {name!r}: a new name without dots is needed")
@@ -252,7 +255,8 @@ class Problem:
             image = compose(rgb, alpha)
             self.program.plan(name, outputs={f"{name}.color": (image, Layout("atlas", "vec4", self.width, self.height, n, atlas.columns))})
         else:
-            self.program.plan(name, outputs={f"{name}.silhouette": (alpha, Layout("atlas", "float", self.width, self.height, n, atlas.columns))})
+            layout = Layout("atlas", "float", self.width, self.height, n, atlas.columns)
+            self.program.plan(name, outputs={f"{name}.silhouette": (alpha, layout)})
 
     def compile(self, profile: Profile | str, path: str | os.PathLike, **options) -> dict:
         """Write the bundle; its description. See `compiler.compile_program`."""
