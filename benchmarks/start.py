@@ -79,8 +79,9 @@ def timed(owner, name, phase):
 timed(module, "Images", "memory")
 timed(module, "PipelineStore", "pipelines")
 timed(module, "Pipelines", "pipelines")
-for name in ("_start", "_finish", "_write"):
-    timed(module.Session, name, "upload")
+timed(module, "upload", "upload")
+for name in ("begin", "finish"):
+    timed(module.Work, name, "upload")
 session = module.Session(checked, device)
 mark("session")
 inside = ["upload"]

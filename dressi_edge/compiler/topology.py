@@ -1,7 +1,8 @@
 """Who touches whom in a mesh, once, at compile time.
 
 In: faces (F, 3) and the vertex count. Out: corners sorted by vertex index, unique edges, which faces they bound, neighbours. Edges are
-numbered in order of the first face that has them, so the first face of an edge is its lowest.
+numbered in order of the first face that has them, so the first face of an edge is its lowest. A face that names a vertex twice has no
+area whatever the positions are: it is left out, and the others are numbered without it.
 """
 from __future__ import annotations
 
@@ -10,13 +11,24 @@ from functools import cached_property
 
 import numpy as np
 
+from ..cache.errors import InputError
+
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """faces (F, 3) int; vertex_count V."""
+    """faces (F, 3) int, those with three different corners; `kept` (F,) are their places among the faces given; vertex_count V.
+    Raises InputError where no face is left."""
 
     faces: np.ndarray
     vertex_count: int
+
+    def __post_init__(self):
+        faces = np.asarray(self.faces).reshape(-1, 3)
+        kept = np.flatnonzero((faces != np.roll(faces, 1, axis=1)).all(axis=1))
+        if not len(kept):
+            raise InputError(f"none of {len(faces)} faces has three different corners; a mesh needs at least one")
+        object.__setattr__(self, "kept", kept)
+        object.__setattr__(self, "faces", faces if len(kept) == len(faces) else faces[kept])
 
     @cached_property
     def sorted_faces(self) -> np.ndarray:

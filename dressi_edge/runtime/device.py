@@ -5,6 +5,7 @@ other runtime modules use and whose limits and features a device profile is made
 """
 
 import os
+from _thread import allocate_lock  # as threading.Lock, whose module takes a millisecond
 
 from dressi_edge.cache.errors import DeviceError
 from dressi_edge.runtime import vk
@@ -106,12 +107,14 @@ class Device:
     memory_types, heaps           [(flags, heap index)]; [(bytes, flags)]
     instance, physical, device, queue, queue_family    handles and the family's index; has_compute: it can dispatch
     messages                      what the validation layer said; still there after `close`
+    lock, process                 around every use of the queue, which sessions share; the process that opened it
     """
 
     def __init__(self, instance, physical):
         """Reads what the device can do. `Device.open` makes it usable."""
         self._instance, self.instance, self.physical, self.messages = instance, instance.handle, physical, instance.messages
         self.device = self.queue = None
+        self.lock, self.process = allocate_lock(), os.getpid()
         self.queue_family, self.has_compute, self.timestamp_bits, self.enabled = -1, False, 0, ()
         properties = vk.GetPhysicalDeviceProperties(physical)
         self.name = properties.deviceName.decode(errors="replace")
@@ -226,12 +229,16 @@ class Device:
         return properties.linearTilingFeatures, properties.optimalTilingFeatures, properties.bufferFeatures
 
     def close(self):
-        """Waits until the device is idle and destroys it; what was made from it must be gone by then. May be called twice."""
+        """Waits until the device is idle and destroys it; what was made from it must be gone by then. May be called twice. In a
+        forked child, which owns nothing on the device, it does nothing."""
+        if os.getpid() != self.process:
+            return
         device, self.device, self.queue = self.device, None, None
         try:
             if device:
                 try:
-                    vk.DeviceWaitIdle(device)
+                    with self.lock:
+                        vk.DeviceWaitIdle(device)
                 finally:
                     vk.DestroyDevice(device)
         except vk.VulkanError as error:

@@ -103,6 +103,11 @@ class Staging:
         self.view = np.frombuffer((ctypes.c_uint8 * size).from_address(address), np.uint8)
         self.size = size
 
+    def trim(self, size: int) -> None:
+        """Give back a buffer of more than this."""
+        if self.size > size:
+            self.close()
+
     def close(self) -> None:
         if self.buffer:
             vk.DestroyBuffer(self.device.device, self.buffer)

@@ -1,27 +1,34 @@
 """A loaded bundle on a device: set inputs, step, get results. Everything is checked when it is loaded or given."""
 from __future__ import annotations
 
+import functools
 import os
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 
 from ..cache import bundle as bundles
-from ..cache import vulkan as v
 from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
-from ..cache.profile import Profile, misfit
-from ..cache.verify import violations
+from ..cache.profile import Profile
+from . import checkpoint as checkpoints
 from . import vk
 from .device import Device
-from .emulate import EmulatedDevice, rules
-from .memory import Images, Staging, image_bytes, region
+from .emulate import EmulatedDevice
+from .fit import fit
+from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
-from .record import Recording, wait
+from .plans import Plan, profile_stages
+from .record import Recording
+from .transfer import batches, clear, download, upload
+from .work import Work
 
-DEPTH_BIT = vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT
+MEMORY = (vk.VK_ERROR_OUT_OF_DEVICE_MEMORY, vk.VK_ERROR_OUT_OF_HOST_MEMORY)
+MAX_SUBMIT = 1 << 16  # iterations in one submission
+CHUNK_SECONDS = 0.02  # of a step that is bounded in time or can be cancelled: what others wait for at most, about
 
 
 def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None = None, *, validation: bool = False,
@@ -45,180 +52,125 @@ def _layout(value: dict) -> Layout:
     return Layout(value["layout"], value["type"], value["width"], value["height"], value["count"], value["columns"])
 
 
+def _serial(method):
+    """One call of a session after another. Whoever waits is in `_waiting`, for `step` to let in between chunks. A lost device
+    closes the session."""
+    @functools.wraps(method)
+    def call(self, *args, **options):
+        self._usable()  # before the lock, which a fork may have left locked
+        ticket = object()
+        try:
+            self._waiting.add(ticket)
+            with self._lock:
+                self._waiting.discard(ticket)
+                self._usable()
+                return method(self, *args, **options)
+        except vk.VulkanError as error:
+            if error.result == vk.VK_ERROR_DEVICE_LOST:
+                raise self._lost(error) from error
+            raise
+        finally:
+            self._waiting.discard(ticket)
+    return call
+
+
 class Session:
-    """A context manager. Calls from several threads run one after another."""
+    """A context manager. Calls from several threads run one after another; docs/embedding.md tells what each error leaves."""
 
     def __init__(self, bundle, device: Device | EmulatedDevice, owns_device: bool = False):
         self.bundle, self.device, self._owns_device = bundle, device, owns_device
         self._d = bundle.description
-        self._lock = threading.RLock()
-        self._closed = False
-        self._images = self._pipelines = self._staging = self._store = None
-        self._pool = self._fence = 0
-        self._recordings: dict[tuple, Recording] = {}
-        self._check_device()
+        self._process = os.getpid()
+        self._lock, self._waiting = threading.RLock(), set()
+        self._closed = ""  # why
+        self._images = self._pipelines = self._staging = self._store = self._work = None
+        if device.process != self._process:
+            raise DeviceError("the device was opened before this process was forked; open another")
+        self._depth_format = fit(bundle, device)
         self.values = {value["name"]: value for value in self._d["values"]}
         self._layouts = {name: _layout(value) for name, value in self.values.items()}
         self.plans = {plan["name"]: plan for plan in self._d["plans"]}
+        self._plans = {plan["name"]: Plan(plan, self._d) for plan in self._d["plans"]}
+        self._giver = {name: plan for plan in reversed(self._plans.values()) for name in plan.given}
         self.phases = [plan["name"] for plan in self._d["plans"] if plan["updates"]]
         self.phase = self.phases[0] if self.phases else None
         self._parity = {value["image"]: 0 for value in self._d["values"]}
         self._version = dict.fromkeys(self.values, 0)
         self._seen: dict[str, tuple] = {}
-        self._unset = {n for n, x in self.values.items() if x["role"] == "input" and x["initial"] is None}
+        self._given = {n: x["initial"] is not None for n, x in self.values.items() if x["role"] == "input"}
+        self._largest = max((image_bytes(self._d["images"][x["image"]]) for x in self.values.values()), default=0)
         self._runs: dict[str, int] = dict.fromkeys(self.plans, 0)
+        self._skipped: dict[str, int] = dict.fromkeys(self.plans, 0)
         try:
             self._open()
-        except BaseException:
-            self._release()
+        except BaseException as error:
+            self._release("the session did not open")
+            if isinstance(error, vk.VulkanError) and error.result == vk.VK_ERROR_DEVICE_LOST:
+                raise DeviceError(f"{device.name} was lost ({error}); open it again") from error
             raise
 
     # ---- opening and closing
 
-    def _check_device(self) -> None:
-        """What the bundle does, counted anew, and what it says it needs, against the device and the profile it emulates."""
-        d, device = self._d, self.device
-        for name in d["needs"]["formats"]:
-            if name not in v.FORMATS:
-                raise BundleError(f"needs.formats names {name}, which this reader does not know")
-        self._depth_format, needs = 0, {**d["needs"]["limits"], **d["needs"]["formats"]}
-        for profile in rules(device):
-            lines = violations(d, profile, self.bundle.interfaces) or misfit(needs, profile)
-            if lines:
-                more = f"; and {len(lines) - 3} more" if len(lines) > 3 else ""
-                raise DeviceError(f"the bundle, made for profile {d['profile']['name']}, does not fit {profile.name}: "
-                                  f"{'; '.join(lines[:3])}{more}; compile it for a profile this device has")
-        if any(image["format"] == 0 for image in d["images"]):
-            views = {device, getattr(device, "real", device)}
-            able = [f for f in d["depth_formats"] if all(view.format_features(f)[1] & DEPTH_BIT for view in views)]
-            if not able:
-                raise DeviceError(f"none of the depth formats {d['depth_formats']} is a depth attachment of {device.name}")
-            self._depth_format = able[0]
-
     def _open(self) -> None:
-        device = self.device.device
-        self._pool = vk.CreateCommandPool(device, vk.VkCommandPoolCreateInfo(
-            flags=vk.VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT, queueFamilyIndex=self.device.queue_family))
-        self._fence = vk.CreateFence(device, vk.VkFenceCreateInfo())
-        self._staging = Staging(self.device)
-        self._images = Images(self.device, self._d["images"], self._depth_format)
-        clearing = self._start(self._clear)  # the device does this while the driver compiles
+        self._work, self._staging = Work(self.device), Staging(self.device)
+        try:
+            self._images = Images(self.device, self._d["images"], self._depth_format)
+        except vk.VulkanError as error:
+            if error.result not in MEMORY:
+                raise
+            raise DeviceError(f"{self.device.name} has no memory for the images of this bundle ({error}); close other sessions, or "
+                              "compile it with fewer or smaller views") from error
+        self._work.begin(functools.partial(clear, self._images))  # the device does this while the driver compiles
         try:
             self._store = PipelineStore(self.device, self.bundle.digest)
             self._pipelines = Pipelines(self.device, self.bundle, self._depth_format, self._store.handle)
             self._store.keep()
         finally:
-            self._finish(clearing)
-        uploads = [(k, self.bundle.blob(image["data"])) for k, image in enumerate(self._d["images"]) if image["data"] is not None]
-        uploads += [(value["image"], self.bundle.blob(value["initial"])) for value in self._d["values"] if value["initial"] is not None]
-        for image, data in uploads:
-            self._write(image, np.frombuffer(data, np.uint8))
+            self._work.finish()
+        data = [(k, image["data"]) for k, image in enumerate(self._d["images"]) if image["data"] is not None]
+        data += [(value["image"], value["initial"]) for value in self._d["values"] if value["initial"] is not None]
+        for batch in batches([self._copy(k, self.bundle.blob(blob)) for k, blob in data]):
+            upload(self._work, self._staging, batch)
 
-    def _start(self, record) -> int:
-        """Record and submit one command buffer, for `_finish` to wait for before anything else is submitted."""
-        device = self.device.device
-        commands = vk.AllocateCommandBuffers(device, vk.VkCommandBufferAllocateInfo(
-            commandPool=self._pool, level=vk.VK_COMMAND_BUFFER_LEVEL_PRIMARY, commandBufferCount=1))[0]
-        try:
-            vk.BeginCommandBuffer(commands, vk.VkCommandBufferBeginInfo(flags=vk.VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT))
-            record(commands)
-            vk.EndCommandBuffer(commands)
-            vk.QueueSubmit(self.device.queue, [vk.VkSubmitInfo(pCommandBuffers=[commands])], self._fence)
-        except BaseException:
-            vk.FreeCommandBuffers(device, self._pool, [commands])
-            raise
-        return commands
+    def _handle(self, image: int) -> tuple[int, dict]:
+        """The current image and its record."""
+        return self._images.handles[image][self._parity.get(image, 0)], self._d["images"][image]
 
-    def _finish(self, commands: int) -> None:
-        try:
-            self._wait()
-        finally:
-            vk.FreeCommandBuffers(self.device.device, self._pool, [commands])
-
-    def _once(self, record) -> None:
-        """Record, submit and finish one command buffer."""
-        self._finish(self._start(record))
-
-    def _submit(self, commands: list[int]) -> None:
-        vk.QueueSubmit(self.device.queue, [vk.VkSubmitInfo(pCommandBuffers=commands)], self._fence)
-        self._wait()
-
-    def _wait(self) -> None:
-        while vk.WaitForFences(self.device.device, [self._fence], True, 1_000_000_000) == vk.VK_TIMEOUT:
-            pass
-        vk.ResetFences(self.device.device, [self._fence])
-
-    def _clear(self, c: int) -> None:
-        """Bring every image to GENERAL, zero."""
-        barriers, wipes = [], []
-        for record, handles in zip(self._d["images"], self._images.handles):
-            aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
-            for handle in handles:
-                barriers.append(vk.VkImageMemoryBarrier(
-                    srcAccessMask=0, dstAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, oldLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED,
-                    newLayout=vk.VK_IMAGE_LAYOUT_GENERAL, srcQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED,
-                    dstQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED, image=handle, subresourceRange=(aspect, 0, 1, 0, 1)))
-                if record["format"]:
-                    wipes.append(handle)
-        if barriers:
-            vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, vk.VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0,
-                                  pImageMemoryBarriers=barriers)
-        for handle in wipes:
-            vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
-                                  [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
-        wait(c)
-
-    def _write(self, image: int, data: np.ndarray) -> None:
-        self._staging.reserve(data.nbytes)
-        self._staging.view[:data.nbytes] = data
-        handle = self._images.handles[image][self._parity.get(image, 0)]
-
-        def copy(c):
-            wait(c)
-            vk.CmdCopyBufferToImage(c, self._staging.buffer, handle, vk.VK_IMAGE_LAYOUT_GENERAL,
-                                    [region(self._d["images"][image], 0)])
-            wait(c)
-
-        self._once(copy)
-
-    def _read(self, image: int) -> bytes:
-        record = self._d["images"][image]
-        size = image_bytes(record)
-        self._staging.reserve(size)
-        handle = self._images.handles[image][self._parity.get(image, 0)]
-
-        def copy(c):
-            wait(c)
-            vk.CmdCopyImageToBuffer(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, self._staging.buffer, [region(record, 0)])
-            vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TRANSFER_BIT, vk.VK_PIPELINE_STAGE_HOST_BIT, 0, pMemoryBarriers=[
-                vk.VkMemoryBarrier(srcAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, dstAccessMask=vk.VK_ACCESS_HOST_READ_BIT)])
-
-        self._once(copy)
-        return self._staging.view[:size].tobytes()
+    def _copy(self, image: int, data) -> tuple[int, dict, np.ndarray]:
+        return *self._handle(image), np.frombuffer(data, np.uint8)
 
     def close(self) -> None:
-        """Give everything back; safe to call twice."""
-        with self._lock:
-            if not self._closed:
-                self._release()
+        """Give everything back; safe to call twice. In a forked child, which owns nothing on the device, it does nothing."""
+        if os.getpid() == self._process:
+            with self._lock:
+                if not self._closed:
+                    self._release("the session is closed")
 
-    def _release(self) -> None:
-        self._closed = True
-        device = self.device.device
-        if device:
-            for recording in self._recordings.values():
-                recording.close()
-            for part in (self._pipelines, self._store, self._images, self._staging):
+    def _release(self, why: str) -> None:
+        if self._work is not None:
+            try:
+                self._work.finish()  # interrupted here, the session is still open
+            except vk.VulkanError:  # lost: nothing runs any more
+                pass
+        self._closed = why
+        if self.device.device:
+            for plan in self._plans.values():
+                for recording in plan.recordings.values():
+                    recording.close()
+                plan.recordings = {}
+            for part in (self._pipelines, self._store, self._images, self._staging, self._work):
                 if part is not None:
                     part.close()
-            if self._fence:
-                vk.DestroyFence(device, self._fence)
-            if self._pool:
-                vk.DestroyCommandPool(device, self._pool)
-        self._recordings = {}
-        self._pool = self._fence = 0
         if self._owns_device:
             self.device.close()
+
+    def _lost(self, error: vk.VulkanError) -> DeviceError:
+        """Close after the device was lost, and what to raise."""
+        with self._lock:
+            if not self._closed:
+                self._release(f"the session is closed: {self.device.name} was lost ({error}); open the device and the bundle again, "
+                              "and restore the last checkpoint there")
+            return DeviceError(self._closed)
 
     def __enter__(self) -> Session:
         return self
@@ -227,8 +179,10 @@ class Session:
         self.close()
 
     def _usable(self) -> None:
+        if os.getpid() != self._process:
+            raise DeviceError(f"the session belongs to process {self._process}, of which this one is a fork; load the bundle here")
         if self._closed:
-            raise DeviceError("the session is closed")
+            raise DeviceError(self._closed)
 
     # ---- values
 
@@ -247,142 +201,220 @@ class Session:
 
     def set(self, name: str, array) -> None:
         """Give an input or state a new value: an array of `shape(name)`. Raises InputError for a wrong shape, type, NaN or Inf."""
-        with self._lock:
-            value = self._value(name, ("input", "state"))
-            pixels = self._layouts[name].to_image(array, name)
-            kind = np.int32 if is_int(value["type"]) else np.float32
-            if CHANNELS[value["type"]] == 3:
-                pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
-            with np.errstate(over="ignore"):
-                data = np.ascontiguousarray(pixels, kind)
-            if kind is np.float32 and not np.isfinite(data).all():
-                raise InputError(f"{name} has values beyond the range of fp32")
-            self._write(value["image"], data.reshape(-1).view(np.uint8))
-            self._version[name] += 1
-            self._unset.discard(name)
+        value = self._value(name, ("input", "state"))
+        pixels = self._layouts[name].to_image(array, name)
+        kind = np.int32 if is_int(value["type"]) else np.float32
+        if CHANNELS[value["type"]] == 3:
+            pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
+        with np.errstate(over="ignore"):
+            data = np.ascontiguousarray(pixels, kind)
+        if kind is np.float32 and not np.isfinite(data).all():
+            raise InputError(f"{name} has values beyond the range of fp32")
+        self._put({name: data})
+
+    def _changes(self, names) -> list:
+        """What is true once these values are new."""
+        return [*((self._version, name, self._version[name] + 1) for name in names),
+                *((self._given, name, True) for name in names if name in self._given)]
+
+    @_serial
+    def _put(self, arrays: dict[str, np.ndarray], more: tuple = ()) -> None:
+        self._work.settle()  # an interrupted step may yet flip a state
+        upload(self._work, self._staging, [self._copy(self.values[name]["image"], data) for name, data in arrays.items()],
+               [*self._changes(arrays), *more])
+        self._staging.trim(self._largest)
 
     def get(self, name: str) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if something they need has changed."""
-        with self._lock:
-            value = self._value(name, ("input", "state", "output"))
-            if value["role"] == "output":
-                self._refresh(name)
-            kind = np.int32 if is_int(value["type"]) else np.float32
-            image = self._d["images"][value["image"]]
-            pixels = np.frombuffer(self._read(value["image"]), kind).reshape(image["height"], image["width"], -1)
-            return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).copy()
+        value = self._value(name, ("input", "state", "output"))
+        kind = np.int32 if is_int(value["type"]) else np.float32
+        image = self._d["images"][value["image"]]
+        pixels = np.frombuffer(self._get(value), kind).reshape(image["height"], image["width"], -1)
+        return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).copy()
 
-    def _refresh(self, name: str) -> None:
-        index = self._d["values"].index(self.values[name])
-        plan = next(plan for plan in self._d["plans"] if index in plan["outputs"])
-        if plan["updates"]:
-            if not self._runs[plan["name"]]:
-                raise InputError(f"{name} is given out by {plan['name']}, which has not run yet")
-        else:
-            self._run_if_changed(plan)
+    @_serial
+    def _get(self, value: dict) -> bytes:
+        self._work.settle()
+        if value["role"] == "output":
+            plan = self._giver[value["name"]]
+            if not plan.states:
+                self._run_if_changed(plan)
+            elif not self._runs[plan.name]:
+                raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
+        return download(self._work, self._staging, [self._handle(value["image"])])[0]
 
     # ---- running
 
-    def _versions(self, plan: dict) -> tuple:
-        below = [self._versions(self._d["plans"][n]) for n in plan["needs"]]
-        return tuple(self._version[self._d["values"][k]["name"]] for k in plan["reads"]), *below
-
-    def _run_if_changed(self, plan: dict) -> None:
-        if self._seen.get(plan["name"]) != self._versions(plan):
+    def _run_if_changed(self, plan: Plan) -> None:
+        versions = tuple(map(self._version.__getitem__, plan.reads))
+        if self._seen.get(plan.name) == versions:
+            self._skipped[plan.name] += 1
+        else:
             self._run(plan, 1)
-            self._seen[plan["name"]] = self._versions(plan)
+            self._seen[plan.name] = versions
 
-    def _ready(self, plan: dict) -> None:
-        missing = [self._d["values"][k]["name"] for k in plan["reads"] if self._d["values"][k]["name"] in self._unset]
+    def _ready(self, plan: Plan) -> None:
+        missing = [name for name in plan.inputs if not self._given[name]]
         if missing:
-            raise InputError(f"{plan['name']} needs {' '.join(missing)}; set it first")
-        for n in plan["needs"]:
-            self._ready(self._d["plans"][n])
+            raise InputError(f"{plan.name} needs {' '.join(missing)}; set it first")
 
-    def _recording(self, plan: dict) -> Recording:
-        used = {ref // 2 for stage in plan["stages"] for ref in stage["attachments"]}
-        used |= {ref // 2 for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws for ref in draw["images"]}
-        parity = {k: self._parity.get(k, 0) for k in sorted(used) if self._d["images"][k]["slots"] == 2}
-        key = (plan["name"], *parity.items())
-        if key not in self._recordings:
-            self._recordings[key] = Recording(self.device, self._pool, self.bundle, self._images, self._pipelines, plan, parity)
-        return self._recordings[key]
+    def _recording(self, plan: Plan, flip: tuple = ()) -> Recording:
+        """The plan's commands for the slots that are current, or with those of the images `flip` exchanged."""
+        key = tuple([self._parity[k] ^ (k in flip) if k in self._parity else 0 for k in plan.slots])
+        recording = plan.recordings.get(key)
+        if recording is None:
+            recording = plan.recordings[key] = Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines,
+                                                         plan.record, dict(zip(plan.slots, key)))
+        return recording
 
-    def _run(self, plan: dict, n: int) -> None:
+    def _run(self, plan: Plan, n: int) -> None:
         self._ready(plan)
-        for k in plan["needs"]:
-            self._run_if_changed(self._d["plans"][k])
-        states = [self._d["values"][k] for k in plan["updates"]]
-        pair = [self._recording(plan).commands]
-        if states and n > 1:
-            self._flip(states)
-            pair.append(self._recording(plan).commands)
-            self._flip(states)
-        self._submit((pair * n)[:n])
-        if not self._runs[plan["name"]]:
+        self._work.settle()
+        for name in plan.needs:
+            self._run_if_changed(self._plans[name])
+        commands = [self._recording(plan).commands]
+        if plan.states and n > 1:
+            commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
+        changes = [(self._runs, plan.name, self._runs[plan.name] + n)]
+        for name, image in plan.states:
+            changes.append((self._version, name, self._version[name] + 1))
+            changes.append((self._parity, image, self._parity[image] ^ n & 1))
+        self._work.submit(commands, changes)
+        self._work.settle()
+        if not plan.kept:
+            plan.kept = True
             self._store.keep()
-        if n % 2:
-            self._flip(states)
-        for value in states:
-            self._version[value["name"]] += 1
-        self._runs[plan["name"]] += n
 
-    def _flip(self, states: list[dict]) -> None:
-        for value in states:
-            self._parity[value["image"]] ^= 1
+    def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
+        """Run n iterations of a phase (default: the current one) in one submission; how many were run.
 
-    def step(self, n: int = 1, phase: str | None = None) -> None:
-        """Run n iterations of a phase (default: the current one) in one submission."""
-        with self._lock:
-            self._usable()
-            if phase is not None:
-                if phase not in self.phases:
-                    raise InputError(f"{phase!r:.60} is no phase of this bundle; there are: {' '.join(self.phases)}")
-                self.phase = phase
-            if self.phase is None:
-                raise InputError("this bundle updates nothing: there is no phase to step")
-            if type(n) is not int or n < 0:
-                raise InputError(f"step({n!r:.40}): a count of 0 or more is needed")
-            if n:
-                self._run(self.plans[self.phase], n)
+        seconds   stop after about that long: no iteration begins that the one before says would end later, the first excepted
+        cancel    a threading.Event or a function without arguments; asked between iterations, true stops
+
+        With either, work is submitted in chunks of about 20 ms, and other threads' calls run between them.
+        """
+        if type(n) is not int or n < 0:
+            raise InputError(f"step({n!r:.40}): a count of 0 or more is needed")
+        if seconds is None and cancel is None:
+            return self._step(n, phase)
+        if seconds is not None and not (isinstance(seconds, int | float | np.number) and seconds >= 0):
+            raise InputError(f"step(seconds={seconds!r:.40}): 0 or more is needed")
+        stop = (lambda: False) if cancel is None else getattr(cancel, "is_set", cancel)
+        if not callable(stop):
+            raise InputError(f"step(cancel={cancel!r:.40}): a threading.Event or a function is needed")
+        return self._bounded(n, self._choose(phase), float("inf") if seconds is None else float(seconds), stop)
+
+    @_serial
+    def _choose(self, phase: str | None) -> Plan:
+        if phase is not None:
+            if phase not in self.phases:
+                raise InputError(f"{phase!r:.60} is no phase of this bundle; there are: {' '.join(self.phases)}")
+            self.phase = phase
+        if self.phase is None:
+            raise InputError("this bundle updates nothing: there is no phase to step")
+        return self._plans[self.phase]
+
+    @_serial
+    def _step(self, n: int, phase: str | None) -> int:
+        plan = self._choose(phase)
+        for first in range(0, n, MAX_SUBMIT):
+            self._run(plan, min(n - first, MAX_SUBMIT))
+        return n
+
+    @_serial
+    def _chunk(self, plan: Plan, n: int) -> float:
+        """n iterations; seconds of each."""
+        start = time.perf_counter()
+        self._run(plan, n)
+        return (time.perf_counter() - start) / n
+
+    def _bounded(self, n: int, plan: Plan, seconds: float, stop: Callable[[], object]) -> int:
+        end, done, size, pace = time.perf_counter() + seconds, 0, 1, 0.0
+        while done < n and not stop():
+            left = end - time.perf_counter()
+            if left <= max(pace, 0.0):
+                break
+            if pace:
+                size = max(1, min(2 * size, int(min(CHUNK_SECONDS, left) / pace)))
+            size = min(size, n - done)
+            self._let_in()
+            warm = plan.kept
+            pace = self._chunk(plan, size)
+            pace = pace if warm else 0.0  # the first run of all may have compiled
+            done += size
+        return done
+
+    def _let_in(self) -> None:
+        """Let those calls begin that are waiting now: the lock alone would mostly come back to whoever just gave it up."""
+        waiting, end = set(self._waiting), time.perf_counter() + 1.0
+        while waiting & self._waiting and time.perf_counter() < end:
+            time.sleep(1e-4)
 
     def loss(self) -> float:
         """The loss of the current phase at the current state."""
         return float(self.get(f"{self.phase}.loss"))
 
+    @_serial
     def profile_stages(self, name: str, runs: int = 5) -> list[float]:
         """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps."""
-        with self._lock:
-            self._usable()
-            plan, device = self.plans[name], self.device.device
-            self._ready(plan)
-            count = len(plan["stages"]) + 1
-            queries = vk.CreateQueryPool(device, vk.VkQueryPoolCreateInfo(queryType=vk.VK_QUERY_TYPE_TIMESTAMP, queryCount=count))
-            rows = []
-            try:
-                for k in plan["needs"]:
-                    self._run_if_changed(self._d["plans"][k])
-                states = [self._d["values"][k] for k in plan["updates"]]
-                for _ in range(runs):
-                    parity = {k: p for k, p in self._parity.items() if self._d["images"][k]["slots"] == 2}
-                    recording = Recording(self.device, self._pool, self.bundle, self._images, self._pipelines, plan, parity, queries)
-                    try:
-                        self._submit([recording.commands])
-                    finally:
-                        recording.close()
-                    self._flip(states)
-                    for value in states:
-                        self._version[value["name"]] += 1
-                    buffer = (vk.u64 * count)()
-                    vk.GetQueryPoolResults(device, queries, 0, count, buffer, 8, vk.VK_QUERY_RESULT_64_BIT)
-                    rows.append(np.diff(np.array(buffer[:], np.float64)) * self.device.timestamp_period * 1e-6)
-            finally:
-                vk.DestroyQueryPool(device, queries)
-            return np.median(rows, axis=0).tolist()
+        plan = self._plans[name]
+        self._ready(plan)
+        for needed in plan.needs:
+            self._run_if_changed(self._plans[needed])
 
+        def record(timestamps: int) -> Recording:
+            parity = {k: self._parity.get(k, 0) for k in plan.slots}
+            return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
+                             timestamps)
+
+        def changes() -> list:
+            return [change for name, image in plan.states for change in (
+                (self._version, name, self._version[name] + 1), (self._parity, image, self._parity[image] ^ 1))]
+
+        return profile_stages(self.device, self._work, len(plan.record["stages"]), record, changes, runs)
+
+    # ---- checkpoints and report
+
+    @_serial
+    def _snapshot(self) -> checkpoints.Checkpoint:
+        self._work.settle()
+        runs = {name: self._runs[name] for name in self.phases}
+        names = self._kept(runs, [name for name, given in self._given.items() if given])
+        data = download(self._work, self._staging, [self._handle(self.values[name]["image"]) for name in names])
+        self._staging.trim(self._largest)
+        return checkpoints.Checkpoint(self.phase, runs, dict(zip(names, data)))
+
+    def _kept(self, runs: dict[str, int], inputs: list[str]) -> list[str]:
+        """The values that a checkpoint holds: states, inputs that were set, and what phases that have run gave out."""
+        given = {name for phase in self.phases if runs[phase] for name in self._plans[phase].given}
+        return [name for name, value in self.values.items() if value["role"] == "state" or name in given or name in inputs]
+
+    def checkpoint(self, path: str | os.PathLike) -> None:
+        """Write all states, inputs and counters to a file, atomically. Raises InputError if it cannot be written; the file that
+        was there before is then untouched."""
+        checkpoints.write(path, checkpoints.dumps(self._snapshot(), self.bundle.digest))
+
+    def restore(self, path: str | os.PathLike) -> None:
+        """Take the values and counters of a checkpoint of the same bundle; what follows is bit-identical to what followed there on
+        the same device. Raises InputError if there is no such file, BundleError if it is damaged or of another bundle; nothing has
+        changed then."""
+        sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
+        found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
+        inputs = [name for name in found.values if name in self._given]
+        if (found.phase not in (self.phases or [None]) or list(found.runs) != self.phases
+                or list(found.values) != self._kept(found.runs, inputs)
+                or any(len(data) != sizes[name] for name, data in found.values.items())):
+            raise BundleError(f"{os.fspath(path)}: the checkpoint's values are not those of this bundle")
+        self._put({name: np.frombuffer(data, np.uint8) for name, data in found.values.items()},
+                  (*((self._runs, name, n) for name, n in found.runs.items()),
+                   *((self._given, name, False) for name in self._given if name not in inputs),
+                   (self.__dict__, "phase", found.phase)))
+
+    @_serial
     def report(self) -> dict:
-        """What ran how often, and what the session occupies."""
+        """What ran how often and how often it did not need to, and what the session occupies."""
+        self._work.settle()
         return {"device": self.device.name, "driver": self.device.driver_info, "profile": self._d["profile"]["name"],
-                "runs": dict(self._runs), "image_bytes": self._images.bytes, "pipelines": len(self._d["pipelines"]),
-                "pipeline_cache": self._store.state,
-                "time": time.time()}
+                "runs": dict(self._runs), "skipped": {n: k for n, k in self._skipped.items() if not self.plans[n]["updates"]},
+                "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
+                "pipelines": len(self._d["pipelines"]), "pipeline_cache": self._store.state, "time": time.time()}

@@ -46,11 +46,10 @@ vec4 c0 = {clip_at}(view * {vertices} + t.x), c1 = {clip_at}(view * {vertices} +
 h0 = c0.xyw * half_cell; h1 = c1.xyw * half_cell; h2 = c2.xyw * half_cell;
 depths = vec3(c0.z, c1.z, c2.z);
 code = 2 * (view * {face_count} + f);
-float det = dot(h0, cross(h1, h2)) / (half_cell.x * half_cell.y);
-facing = det < 0.0 ? -1.0 : 1.0;
+facing = dot(h0, cross(h1 - h0, h2 - h0)) < 0.0 ? -1.0 : 1.0;
 float reach = float({radius}) + 0.02;
 s0 = clip_segment(h0, h1, {near}); s1 = clip_segment(h1, h2, {near}); s2 = clip_segment(h0, h2, {near});
-if (max(max(c0.w, c1.w), c2.w) >= {near} && abs(det) >= 1e-12) {
+if (max(max(c0.w, c1.w), c2.w) >= {near}) {
     vec2 o;
     if (min(min(c0.w, c1.w), c2.w) >= {near}) {
         vec2 p0 = s0.xy, p1 = s0.zw, p2 = s1.zw;
@@ -175,8 +174,10 @@ if ({y}.x < 1e8) {
     int view_ = {i} / {edge_count};
     ivec4 v_ = {edges_at}({i} - view_ * {edge_count});
     if (v_.w >= 0) {
-        vec3 n_ = cross({clip_at}(view_ * {vertices} + v_.x).xyw, {clip_at}(view_ * {vertices} + v_.y).xyw);
-        if (dot(n_, {clip_at}(view_ * {vertices} + v_.z).xyw) * dot(n_, {clip_at}(view_ * {vertices} + v_.w).xyw) < 0.0) {y} = vec4(1e9);
+        vec3 o_ = {clip_at}(view_ * {vertices} + v_.x).xyw;  // differences keep the digits of small faces
+        vec3 n_ = cross(o_, {clip_at}(view_ * {vertices} + v_.y).xyw - o_);
+        float a_ = dot(n_, {clip_at}(view_ * {vertices} + v_.z).xyw - o_), b_ = dot(n_, {clip_at}(view_ * {vertices} + v_.w).xyw - o_);
+        if (sign(a_) * sign(b_) < 0.0) {y} = vec4(1e9);
     }
 }""", doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen; 1e9 for all others.")
 

@@ -38,7 +38,7 @@ def _fragments(clip, faces, extent, cell_w, cell_h, columns, views, vertices, fa
             h = c[:, [0, 1, 3]] * half
             det = np.linalg.det(c[:, [0, 1, 3]])
             segments = [s for s in (clip_segment(h[a], h[b], near) for a, b in ((0, 1), (1, 2), (0, 2))) if s is not None]
-            if not segments or abs(det) < 1e-12:
+            if not segments:
                 continue
             ends = np.array(segments).reshape(-1, 2)
             lo = np.clip(np.floor(ends.min(0) - radius - 1 + half[:2]), 0, [cell_w, cell_h]).astype(int)
@@ -84,8 +84,9 @@ def fold_segments(segments, clip, edges, edge_count, vertices):
     i = np.arange(segments.shape[0] * segments.shape[1])
     view = np.minimum(i // edge_count, len(h) // vertices - 1)
     v = edges.reshape(-1, 4)[i - i // edge_count * edge_count]
-    n = np.cross(h[view * vertices + v[:, 0]], h[view * vertices + v[:, 1]])
-    sides = [(n * h[view * vertices + np.maximum(v[:, k], 0)]).sum(1) for k in (2, 3)]
+    o = h[view * vertices + v[:, 0]]
+    n = np.cross(o, h[view * vertices + v[:, 1]] - o)
+    sides = [np.sign((n * (h[view * vertices + np.maximum(v[:, k], 0)] - o)).sum(1)) for k in (2, 3)]
     inner = (v[:, 3] >= 0) & (sides[0] * sides[1] < 0)
     return np.where(inner[:, None], 1e9, segments.reshape(-1, 4)).reshape(segments.shape)
 

@@ -238,10 +238,10 @@ class Layers:
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
     def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None) -> Node:
-        """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces."""
+        """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
         weights = weights or self.barycentrics(layer)
         order = np.argsort(self.topology.faces, axis=1, kind="stable")
-        sorted_corners = np.take_along_axis(corners, order[..., None], 1)
+        sorted_corners = np.take_along_axis(np.asarray(corners)[self.topology.kept], order[..., None], 1)
         view = apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
         face = select(layer.face >= 0, layer.face - view * len(self.topology.faces), -1)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]

@@ -1,0 +1,94 @@
+"""Between NumPy and images: clearing, uploading and downloading whole images, several in one submission.
+
+In: `Work`, `Staging`, and for each image its handle, its record in the bundle and its bytes. Out: the bytes of images.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from . import vk
+from .memory import Images, Staging, image_bytes, region
+from .record import wait
+from .work import Change, Work
+
+ALIGN = 64  # of each image in the staging buffer; Vulkan asks for 4 and the size of a texel
+BATCH_BYTES = 8 << 20
+
+
+def clear(images: Images, c: int) -> None:
+    """Bring every image to GENERAL, zero."""
+    barriers, wipes = [], []
+    for record, handles in zip(images.records, images.handles):
+        aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
+        for handle in handles:
+            barriers.append(vk.VkImageMemoryBarrier(
+                srcAccessMask=0, dstAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, oldLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED,
+                newLayout=vk.VK_IMAGE_LAYOUT_GENERAL, srcQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED,
+                dstQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED, image=handle, subresourceRange=(aspect, 0, 1, 0, 1)))
+            if record["format"]:
+                wipes.append(handle)
+    if barriers:
+        vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, vk.VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0,
+                              pImageMemoryBarriers=barriers)
+    for handle in wipes:
+        vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
+                              [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
+    wait(c)
+
+
+def _offsets(sizes: list[int]) -> tuple[list[int], int]:
+    """Where each lies in the staging buffer, and what they occupy together."""
+    offsets, at = [], 0
+    for size in sizes:
+        offsets.append(at)
+        at += size + -size % ALIGN
+    return offsets, at
+
+
+def upload(work: Work, staging: Staging, copies: Sequence[tuple[int, dict, np.ndarray]], changes: Sequence[Change] = ()) -> None:
+    """Fill images (handle, record, bytes as uint8) in one submission: all of them or, after an error, none."""
+    work.settle()  # an interrupted transfer may still use the staging buffer
+    offsets, total = _offsets([data.nbytes for _, _, data in copies])
+    staging.reserve(total)
+    for offset, (_, _, data) in zip(offsets, copies):
+        staging.view[offset:offset + data.nbytes] = data
+
+    def copy(c: int) -> None:
+        wait(c)
+        for offset, (handle, record, _) in zip(offsets, copies):
+            vk.CmdCopyBufferToImage(c, staging.buffer, handle, vk.VK_IMAGE_LAYOUT_GENERAL, [region(record, offset)])
+        wait(c)
+
+    work.once(copy, changes)
+
+
+def batches(copies: Sequence[tuple[int, dict, np.ndarray]]) -> list[list[tuple[int, dict, np.ndarray]]]:
+    """Copies in groups of `BATCH_BYTES` or one image, so that staging stays small."""
+    groups, size = [[]], 0
+    for copy in copies:
+        if groups[-1] and size + copy[2].nbytes > BATCH_BYTES:
+            groups.append([])
+            size = 0
+        groups[-1].append(copy)
+        size += copy[2].nbytes
+    return [group for group in groups if group]
+
+
+def download(work: Work, staging: Staging, images: Sequence[tuple[int, dict]]) -> list[bytes]:
+    """The bytes of images (handle, record), all at one moment."""
+    work.settle()
+    sizes = [image_bytes(record) for _, record in images]
+    offsets, total = _offsets(sizes)
+    staging.reserve(total)
+
+    def copy(c: int) -> None:
+        wait(c)
+        for offset, (handle, record) in zip(offsets, images):
+            vk.CmdCopyImageToBuffer(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, staging.buffer, [region(record, offset)])
+        vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TRANSFER_BIT, vk.VK_PIPELINE_STAGE_HOST_BIT, 0, pMemoryBarriers=[
+            vk.VkMemoryBarrier(srcAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, dstAccessMask=vk.VK_ACCESS_HOST_READ_BIT)])
+
+    work.once(copy)
+    return [staging.view[offset:offset + size].tobytes() for offset, size in zip(offsets, sizes)]
