@@ -26,7 +26,8 @@ def verify(args) -> None:
         from ..cache.verify import violations
         profile = Profile.load(args.profile)
         if lines := violations(d, profile, found.interfaces):
-            raise BundleError(f"{args.bundle} does not fit profile {profile.name} in {len(lines)} places; the first: {lines[0]}")
+            raise BundleError(f"{args.bundle} does not fit profile {profile.name} in {len(lines)} places; "
+                              f"the first: {lines[0]}")
     print(f"OK {args.bundle}: profile {d['profile']['name']}, {len(d['plans'])} plans, {len(d['blobs'])} blobs, "
           f"sha256 {found.digest}")
 
