@@ -87,6 +87,7 @@ def parser() -> argparse.ArgumentParser:
 
     sub = command("verify", "check a bundle without a device", target="bundle:verify")
     sub.add_argument("bundle")
+    sub.add_argument("-p", "--profile", help="and that it keeps every limit of this profile")
 
     sub = command("bench", "time a bundle: each stage of each plan by device timestamps, and whole steps", target="bench:bench")
     sub.add_argument("bundle")

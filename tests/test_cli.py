@@ -173,6 +173,9 @@ def test_bench_times_every_stage(solved, capsys):
 def test_verify_says_ok_or_the_first_thing_wrong(solved, tmp_path, capsys):
     code, out, _ = here(capsys, "verify", solved[0] / "x.dressi")
     assert code == 0 and out.startswith("OK ")
+    assert here(capsys, "verify", solved[0] / "x.dressi", "-p", "lavapipe")[0] == 0
+    code, _, err = here(capsys, "verify", solved[0] / "x.dressi", "-p", "limit4")
+    assert code == 3 and "does not fit profile limit4" in one_line(err)
     data = bytearray((solved[0] / "x.dressi").read_bytes())
     data[len(data) // 2] ^= 1
     (tmp_path / "bad.dressi").write_bytes(data)

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
+import stat
 import struct
 
 import msgpack
@@ -20,6 +22,12 @@ VERSION = 1
 HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
+MAX_DESCRIPTION_BYTES = 1 << 26
+# What MessagePack has between the headers of arrays, maps and longer texts: small integers, nil, booleans; the digest of a blob;
+# numbers; short texts. The repeat is bounded because a regular expression remembers each of them.
+_SHORT = b"|".join(b"%b.{%d}" % (re.escape(bytes([0xa0 + n])), n) for n in range(32))
+_SCALARS = re.compile(rb"(?:[\x00-\x7f\xc0\xc2\xc3\xe0-\xff]+|\xc4\x20.{32}|[\xcc\xd0].|[\xcd\xd1]..|[\xca\xce\xd2].{4}"
+                      rb"|[\xcb\xcf\xd3].{8}|" + _SHORT + rb"){1,64}", re.DOTALL)
 
 
 class Bundle:
@@ -81,24 +89,34 @@ def write(path: str | os.PathLike, description: dict, blobs: list[bytes]) -> str
     return hashlib.sha256(data).hexdigest()
 
 
-def read(path: str | os.PathLike) -> Bundle:
-    """The checked bundle in a file. Raises BundleError, with the path in the file of the first thing wrong."""
+def read(path: str | os.PathLike, pin: str | None = None) -> Bundle:
+    """The checked bundle in a file. `pin`: the SHA-256 (64 hexadecimal digits) that the file must have. Raises BundleError,
+    with the path in the file of the first thing wrong."""
     try:
-        size = os.stat(path).st_size
-        if size > MAX_FILE_BYTES:
-            raise BundleError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
+        found = os.stat(path)
+        if not stat.S_ISREG(found.st_mode):
+            raise BundleError(f"{path}: is no regular file")
+        if found.st_size > MAX_FILE_BYTES:
+            raise BundleError(f"{path}: {found.st_size} bytes; at most {MAX_FILE_BYTES} are allowed")
         with open(path, "rb") as f:
-            data = f.read()
+            data = f.read(found.st_size + 1)
     except OSError as e:
         raise BundleError(f"{path}: cannot be read: {e.strerror}") from None
+    except ValueError:
+        raise BundleError(f"{str(path)!r:.200}: is no path") from None
     try:
-        return loads(data)
+        return loads(data, pin)
     except BundleError as e:
         raise BundleError(f"{path}: {e}") from None
 
 
-def loads(data: bytes) -> Bundle:
+def loads(data: bytes, pin: str | None = None) -> Bundle:
     """The checked bundle in these bytes. Raises BundleError."""
+    if pin is not None:
+        if not re.fullmatch("[0-9a-fA-F]{64}", pin):
+            raise BundleError(f"pin {pin!r:.80} is no SHA-256; 64 hexadecimal digits are needed")
+        if (digest := hashlib.sha256(data).hexdigest()) != pin.lower():
+            raise BundleError(f"the file's SHA-256 is {digest}; the pin is {pin.lower()}")
     if len(data) < HEADER.size:
         raise BundleError(f"{len(data)} bytes; a bundle has at least {HEADER.size}")
     magic, version, reserved, size, digest = HEADER.unpack_from(data)
@@ -110,9 +128,12 @@ def loads(data: bytes) -> Bundle:
         raise BundleError(f"reserved field is {reserved}; 0 is allowed")
     if size > len(data) - HEADER.size:
         raise BundleError(f"truncated: the description has {size} bytes, the file holds {len(data) - HEADER.size} of them")
+    if size > MAX_DESCRIPTION_BYTES:
+        raise BundleError(f"the description has {size} bytes; at most {MAX_DESCRIPTION_BYTES} are allowed")
     text = data[HEADER.size:HEADER.size + size]
     if hashlib.sha256(text).digest() != digest:
         raise BundleError("the description's checksum does not match; the file is damaged")
+    _check_claims(text)
     try:
         description = msgpack.unpackb(text, raw=False, strict_map_key=True, object_pairs_hook=_unique)
     except BundleError:
@@ -133,6 +154,37 @@ def loads(data: bytes) -> Bundle:
         raise BundleError(f"{len(data)} bytes; {at + _pad(at)} are needed, zeros after the last blob")
     check_blobs(description)
     return Bundle(description, memoryview(data), hashlib.sha256(data).hexdigest())
+
+
+_LENGTHS = {0xc4: 1, 0xc5: 2, 0xc6: 4, 0xd9: 1, 0xda: 2, 0xdb: 4}  # bytes of the length of bin and str
+_ITEMS = {0xdc: (2, 1), 0xdd: (4, 1), 0xde: (2, 2), 0xdf: (4, 2)}  # bytes of the count of arrays and maps, values an item
+
+
+def _check_claims(text: bytes) -> None:
+    """Refuse what claims more items than there are bytes: a decoder makes room for them before it finds them missing."""
+    at, end, claimed = 0, len(text), 1
+    while at < end and claimed <= end:
+        run = _SCALARS.match(text, at)
+        if run:
+            at = run.end()
+            continue
+        kind = text[at]
+        at += 1
+        if 0x80 <= kind < 0xa0:
+            claimed += (kind & 15) * (2 if kind < 0x90 else 1)
+        elif kind in _ITEMS:
+            size, times = _ITEMS[kind]
+            claimed += int.from_bytes(text[at:at + size], "big") * times
+            at += size
+        elif kind in _LENGTHS:
+            at += _LENGTHS[kind] + int.from_bytes(text[at:at + _LENGTHS[kind]], "big")
+        else:
+            raise BundleError(f"the description has the byte {kind:#x} at {at - 1}; nil, booleans, numbers, text, bytes, arrays "
+                              "and maps are allowed")
+    if claimed > end:
+        raise BundleError(f"the description claims more than its {end} bytes can hold")
+    if at > end:
+        raise BundleError("the description ends within a value")
 
 
 def _unique(pairs: list) -> dict:

@@ -11,10 +11,30 @@ from .layout import CHANNELS, KINDS, MAX_TABLE_ROWS, is_int, table_size
 
 MAX_SIDE = 1 << 16
 MAX_ITEMS = 1 << 20
+MAX_PLANS = 4096
+MAX_PARTS = 1024  # attachments and subpasses of a pass, bindings of a pipeline
+MAX_COLORS = 128
+MAX_NEEDS = 16
+MAX_META_DEPTH = 16
+NEEDS_LIMITS = ("maxImageDimension2D", "maxFramebufferWidth", "maxFramebufferHeight", "maxColorAttachments",
+                "maxFragmentOutputAttachments", "maxFragmentCombinedOutputResources", "maxPerStageResources",
+                "maxDescriptorSetSamplers", "maxDescriptorSetSampledImages", "maxDescriptorSetInputAttachments",
+                "maxPerStageDescriptorSamplers", "maxPerStageDescriptorSampledImages", "maxPerStageDescriptorInputAttachments")
+NEEDS_FEATURES = ("sampled", "color", "filter")
 
 
 def _fail(where: str, found, allowed: str):
-    raise BundleError(f"{where} is {found!r:.60}; {allowed}")
+    raise BundleError(f"{where} is {_show(found)}; {allowed}")
+
+
+def _show(x) -> str:
+    """Short, whatever it is: a value from a file may be large, and nested deeper than repr can follow."""
+    if isinstance(x, (list, tuple)):
+        return f"a list of {len(x)}"
+    if isinstance(x, dict):
+        return f"a map of {len(x)}"
+    short = x[:60] if isinstance(x, (str, bytes)) else x
+    return f"{short!r:.60}"
 
 
 def _number(where, x, low, high):
@@ -29,10 +49,15 @@ def _one_of(where, x, allowed):
     return x
 
 
-def _list(where, x, length=None):
-    if type(x) is not list or len(x) > MAX_ITEMS or (length is not None and len(x) != length):
-        _fail(where, x if type(x) is not list else f"a list of {len(x)}", "a list" + (f" of {length}" if length is not None else ""))
+def _list(where, x, length=None, most=MAX_ITEMS):
+    if type(x) is not list or len(x) > most or (length is not None and len(x) != length):
+        _fail(where, x, "a list of " + (f"{length} is needed" if length is not None else f"at most {most} is allowed"))
     return x
+
+
+def _distinct(where, xs):
+    if len(set(xs)) != len(xs):
+        raise BundleError(f"{where} names something twice")
 
 
 def _map(where, x, keys):
@@ -43,22 +68,42 @@ def _map(where, x, keys):
             raise BundleError(f"{where} lacks {key}")
     for key in x:
         if key not in keys:
-            raise BundleError(f"{where} has the unknown key {key!r:.40}")
+            raise BundleError(f"{where} has the unknown key {_show(key)}")
     return x
 
 
 def _text(where, x):
-    if type(x) is not str or not 0 < len(x) <= 200:
-        _fail(where, x, "a text of 1 to 200 characters is needed")
+    if type(x) is not str or not 0 < len(x) <= 200 or any(c < " " or "\x7f" <= c < "\xa0" for c in x):
+        _fail(where, x, "a text of 1 to 200 characters, none of control, is needed")
     return x
+
+
+def _meta(meta) -> None:
+    """Plain values, nested no deeper than any walk over them can follow."""
+    if type(meta) is not dict:
+        _fail("meta", meta, "a map is needed")
+    layer = [meta]
+    for _ in range(MAX_META_DEPTH):
+        below: list = []
+        for x in layer:
+            if type(x) is dict and not all(type(key) is str for key in x):
+                raise BundleError("meta has a map with a key that is no text")
+            below.extend(x.values() if type(x) is dict else x)
+        bad = next((x for x in below if x is not None and type(x) not in (bool, int, float, str, bytes, list, dict)), None)
+        if bad is not None:
+            raise BundleError(f"meta holds a {type(bad).__name__}; nil, booleans, numbers, text, bytes, lists and maps are "
+                              "allowed")
+        layer = [x for x in below if type(x) in (list, dict)]
+        if not layer:
+            return
+    raise BundleError(f"meta is nested deeper than {MAX_META_DEPTH}")
 
 
 def check_description(d) -> None:
     """Raise BundleError unless the description is well formed."""
     _map("description", d, ("meta", "profile", "needs", "depth_formats", "images", "samplers", "shaders", "passes", "pipelines",
                             "values", "plans", "blobs"))
-    if type(d["meta"]) is not dict:
-        _fail("meta", d["meta"], "a map is needed")
+    _meta(d["meta"])
     _map("profile", d["profile"], ("name", "digest"))
     for key in ("name", "digest"):
         _text(f"profile.{key}", d["profile"][key])
@@ -82,19 +127,24 @@ def check_description(d) -> None:
         _pass(f"passes[{k}]", p)
     for k, p in enumerate(_list("pipelines", d["pipelines"])):
         _pipeline(f"pipelines[{k}]", p, d)
-    names = set()
+    names, images = set(), {}
     for k, value in enumerate(_list("values", d["values"])):
         _value(f"values[{k}]", value, d)
         if value["name"] in names:
-            raise BundleError(f"values[{k}].name {value['name']!r:.60} is taken")
+            raise BundleError(f"values[{k}].name {_show(value['name'])} is taken")
+        if images.setdefault(value["image"], k) != k:
+            raise BundleError(f"values[{k}].image {value['image']} is that of values[{images[value['image']]}]")
         names.add(value["name"])
+    for k, image in enumerate(d["images"]):
+        if image["slots"] == 2 and (k not in images or d["values"][images[k]]["role"] != "state"):
+            raise BundleError(f"images[{k}].slots is 2; only the image of a state has two")
     names = set()
-    for k, plan in enumerate(_list("plans", d["plans"])):
+    for k, plan in enumerate(_list("plans", d["plans"], most=MAX_PLANS)):
         _plan(f"plans[{k}]", plan, k, d)
         if plan["name"] in names:
-            raise BundleError(f"plans[{k}].name {plan['name']!r:.60} is taken")
+            raise BundleError(f"plans[{k}].name {_show(plan['name'])} is taken")
         names.add(plan["name"])
-    _written(d)
+    _dataflow(d)
 
 
 def _needs(needs) -> None:
@@ -102,12 +152,14 @@ def _needs(needs) -> None:
     if type(needs["limits"]) is not dict or type(needs["formats"]) is not dict:
         _fail("needs", needs, "maps are needed")
     for name, x in needs["limits"].items():
-        _text("needs.limits", name)
+        if name not in NEEDS_LIMITS:
+            raise BundleError(f"needs.limits names {_show(name)}, which this reader does not know")
         _number(f"needs.limits.{name}", x, 0, 1 << 40)
     for name, features in needs["formats"].items():
-        _text("needs.formats", name)
+        if name not in v.FORMATS:
+            raise BundleError(f"needs.formats names {_show(name)}, which this reader does not know")
         for k, f in enumerate(_list(f"needs.formats.{name}", features)):
-            _text(f"needs.formats.{name}[{k}]", f)
+            _one_of(f"needs.formats.{name}[{k}]", f, NEEDS_FEATURES)
 
 
 def _image(where, image, blobs) -> None:
@@ -128,26 +180,33 @@ def _image(where, image, blobs) -> None:
 
 def _pass(where, p) -> None:
     _map(where, p, ("attachments", "subpasses"))
-    count = len(_list(f"{where}.attachments", p["attachments"]))
+    count = len(_list(f"{where}.attachments", p["attachments"], most=MAX_PARTS))
     for k, a in enumerate(p["attachments"]):
         at = f"{where}.attachments[{k}]"
         _map(at, a, ("format", "load", "store", "clear"))
         _one_of(f"{at}.format", a["format"], (0, *v.FORMAT_NAMES))
-        _number(f"{at}.load", a["load"], 0, 2)
+        depth = a["format"] == 0
+        _number(f"{at}.load", a["load"], v.LOAD_CLEAR if depth else 0, v.LOAD_CLEAR if depth else 2)
         _number(f"{at}.store", a["store"], 0, 1)
-        _number(f"{at}.clear", a["clear"], -1, 1)
-    if not _list(f"{where}.subpasses", p["subpasses"]):
+        _number(f"{at}.clear", a["clear"], -1 if a["format"] in v.INTEGER_FORMATS else 0,
+                1 if depth or a["format"] in v.INTEGER_FORMATS else 0)
+    if not _list(f"{where}.subpasses", p["subpasses"], most=MAX_PARTS):
         _fail(f"{where}.subpasses", [], "at least one is needed")
+    written = {k for k, a in enumerate(p["attachments"]) if a["load"] == v.LOAD_LOAD}
     for k, s in enumerate(p["subpasses"]):
         at = f"{where}.subpasses[{k}]"
         _map(at, s, ("colors", "inputs", "depth"))
         for key in ("colors", "inputs"):
-            for j, a in enumerate(_list(f"{at}.{key}", s[key])):
+            for j, a in enumerate(_list(f"{at}.{key}", s[key], most=MAX_COLORS)):
                 _number(f"{at}.{key}[{j}]", a, 0, count - 1)
                 if p["attachments"][a]["format"] == 0:
                     raise BundleError(f"{at}.{key}[{j}] is a depth attachment")
         if len(set(s["colors"])) != len(s["colors"]) or set(s["colors"]) & set(s["inputs"]):
             raise BundleError(f"{at}: an attachment is used twice")
+        for j, a in enumerate(s["inputs"]):
+            if a not in written:
+                raise BundleError(f"{at}.inputs[{j}]: attachment {a} was neither loaded nor written by an earlier subpass")
+        written.update(s["colors"])
         _number(f"{at}.depth", s["depth"], -1, count - 1)
         if s["depth"] >= 0 and p["attachments"][s["depth"]]["format"] != 0:
             raise BundleError(f"{at}.depth is no depth attachment")
@@ -163,7 +222,7 @@ def _pipeline(where, p, d) -> None:
     _number(f"{where}.subpass", p["subpass"], 0, len(subpasses) - 1)
     if type(p["depth"]) is not bool or p["depth"] and subpasses[p["subpass"]]["depth"] < 0:
         _fail(f"{where}.depth", p["depth"], "false, or true with a depth attachment")
-    for k, b in enumerate(_list(f"{where}.bindings", p["bindings"])):
+    for k, b in enumerate(_list(f"{where}.bindings", p["bindings"], most=MAX_PARTS)):
         at = f"{where}.bindings[{k}]"
         _list(at, b, 3)
         _one_of(f"{at}[0]", b[0], (v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER, v.DESCRIPTOR_SAMPLED_IMAGE, v.DESCRIPTOR_INPUT_ATTACHMENT))
@@ -191,6 +250,8 @@ def _value(where, value, d) -> None:
     wanted = v.USAGE_TRANSFER_SRC | (0 if value["role"] == "output" else v.USAGE_TRANSFER_DST)
     if image["usage"] & wanted != wanted:
         raise BundleError(f"{where}: its image lacks usage {wanted}")
+    if image["data"] is not None:
+        raise BundleError(f"{where}: its image {value['image']} is a constant")
     if value["initial"] is not None:
         _number(f"{where}.initial", value["initial"], 0, len(d["blobs"]) - 1)
         if value["role"] == "output":
@@ -214,10 +275,17 @@ def _plan(where, plan, number, d) -> None:
         for k, x in enumerate(_list(f"{where}.{key}", plan[key])):
             _number(f"{where}.{key}[{k}]", x, 0, len(d["values"]) - 1)
             if d["values"][x]["role"] not in role:
-                raise BundleError(f"{where}.{key}[{k}] is {d['values'][x]['role']} {d['values'][x]['name']!r:.60}; "
+                raise BundleError(f"{where}.{key}[{k}] is {d['values'][x]['role']} {_show(d['values'][x]['name'])}; "
                                   f"{' or '.join(role)} is allowed")
-    for k, x in enumerate(_list(f"{where}.needs", plan["needs"])):
-        _number(f"{where}.needs[{k}]", x, 0, number - 1)
+            if key == "updates" and d["images"][d["values"][x]["image"]]["slots"] != 2:
+                raise BundleError(f"{where}.updates[{k}]: the image of {_show(d['values'][x]['name'])} has one slot; two are "
+                                  "needed")
+        _distinct(f"{where}.{key}", plan[key])
+    low = 0
+    for k, x in enumerate(_list(f"{where}.needs", plan["needs"], most=MAX_NEEDS)):
+        low = _number(f"{where}.needs[{k}]", x, low, number - 1) + 1
+        if d["plans"][x]["needs"] or d["plans"][x]["updates"]:
+            raise BundleError(f"{where}.needs[{k}]: plans[{x}] itself needs or updates something")
     for k, stage in enumerate(_list(f"{where}.stages", plan["stages"])):
         _stage(f"{where}.stages[{k}]", stage, d)
 
@@ -237,8 +305,6 @@ def _stage(where, stage, d) -> None:
     if type(stage["wait"]) is not bool:
         _fail(f"{where}.wait", stage["wait"], "a boolean is needed")
     _list(f"{where}.attachments", stage["attachments"], len(layout["attachments"]))
-    if len(set(map(str, stage["attachments"]))) != len(stage["attachments"]):
-        raise BundleError(f"{where}.attachments names an image twice")
     for k, (ref, a) in enumerate(zip(stage["attachments"], layout["attachments"])):
         at = f"{where}.attachments[{k}]"
         image = _ref(at, ref, d)
@@ -248,14 +314,15 @@ def _stage(where, stage, d) -> None:
         if (image["width"], image["height"]) != (stage["width"], stage["height"]):
             raise BundleError(f"{at}: image {ref // 2} is {image['width']} x {image['height']}, the stage is "
                               f"{stage['width']} x {stage['height']}")
+    _distinct(f"{where}.attachments", stage["attachments"])
+    attached = set(stage["attachments"])
     _list(f"{where}.subpasses", stage["subpasses"], len(layout["subpasses"]))
     for k, draws in enumerate(stage["subpasses"]):
-        colors = {stage["attachments"][a] for a in layout["subpasses"][k]["colors"]}
         for j, draw in enumerate(_list(f"{where}.subpasses[{k}]", draws)):
-            _draw(f"{where}.subpasses[{k}][{j}]", draw, stage, k, colors, d)
+            _draw(f"{where}.subpasses[{k}][{j}]", draw, stage, k, attached, d)
 
 
-def _draw(where, draw, stage, subpass, colors, d) -> None:
+def _draw(where, draw, stage, subpass, attached, d) -> None:
     _map(where, draw, ("pipeline", "images", "vertices", "cells", "depth_range"))
     pipeline = d["pipelines"][_number(f"{where}.pipeline", draw["pipeline"], 0, len(d["pipelines"]) - 1)]
     if pipeline["pass"] != stage["pass"] or pipeline["subpass"] != subpass:
@@ -266,7 +333,7 @@ def _draw(where, draw, stage, subpass, colors, d) -> None:
         usage = v.USAGE_INPUT if binding[0] == v.DESCRIPTOR_INPUT_ATTACHMENT else v.USAGE_SAMPLED
         if not image["usage"] & usage:
             raise BundleError(f"{where}.images[{k}]: image {ref // 2} lacks usage {usage}")
-        if usage == v.USAGE_SAMPLED and (ref in stage["attachments"] or ref in colors):
+        if usage == v.USAGE_SAMPLED and ref in attached:
             raise BundleError(f"{where}.images[{k}]: image {ref // 2} is written by the same stage")
     _number(f"{where}.vertices", draw["vertices"], 1, (1 << 31) - 1)
     for k, cell in enumerate(_list(f"{where}.cells", draw["cells"])):
@@ -280,22 +347,61 @@ def _draw(where, draw, stage, subpass, colors, d) -> None:
         _fail(f"{where}.depth_range", low_high, "two floats from 0 to 1 are needed")
 
 
-def _written(d) -> None:
-    """Every image a plan reads was filled: constant, input, state, earlier in the plan, or by a plan it needs."""
-    filled = {k for k, image in enumerate(d["images"]) if image["data"] is not None}
-    filled |= {value["image"] for value in d["values"] if value["role"] != "output"}
+def _dataflow(d) -> None:
+    """What plans read was filled, by a constant, input, state, earlier stage or a plan they need; they write what is theirs;
+    they wait where they must; and they say what they read."""
+    value_of = {value["image"]: k for k, value in enumerate(d["values"])}
+    given = {2 * k for k, image in enumerate(d["images"]) if image["data"] is not None}
+    given |= {2 * value["image"] for value in d["values"] if value["role"] != "output"}
     writes: list[set[int]] = []
+    kept: dict[int, int] = {}  # what a plan reads of one that it needs -> that plan
     for k, plan in enumerate(d["plans"]):
-        known = filled.union(*(writes[n] for n in plan["needs"]))
         mine: set[int] = set()
+        hazards = _Hazards()
+        reads, owned = set(plan["reads"]), {2 * d["values"][x]["image"] + 1 for x in plan["updates"]}
+        owned |= {2 * d["values"][x]["image"] for x in plan["outputs"]}
         for j, stage in enumerate(plan["stages"]):
-            for draws in stage["subpasses"]:
-                for draw in draws:
-                    for ref in draw["images"]:
-                        if ref // 2 not in known and ref // 2 not in mine and ref not in stage["attachments"]:
-                            raise BundleError(f"plans[{k}].stages[{j}] reads image {ref // 2}, which nothing has written")
-            mine.update(ref // 2 for ref in stage["attachments"])
-        for x in plan["updates"] + plan["outputs"]:
-            if d["values"][x]["image"] not in mine:
-                raise BundleError(f"plans[{k}] does not write {d['values'][x]['name']!r:.60}")
+            where, attached = f"plans[{k}].stages[{j}]", set(stage["attachments"])
+            for n, ref in enumerate(stage["attachments"]):
+                if ref in given or ref // 2 in value_of and ref not in owned:
+                    raise BundleError(f"{where}.attachments[{n}]: image {ref // 2} is not for this plan to write")
+            sampled = {ref for draws in stage["subpasses"] for draw in draws for ref in draw["images"]} - attached
+            for ref in sorted(sampled):
+                if ref in given:
+                    if ref // 2 in value_of and value_of[ref // 2] not in reads:
+                        raise BundleError(f"{where} reads {_show(d['values'][value_of[ref // 2]]['name'])}, which "
+                                          f"plans[{k}].reads lacks")
+                elif ref not in mine:
+                    source = next((n for n in plan["needs"] if ref in writes[n]), None)
+                    if source is None:
+                        raise BundleError(f"{where} reads image {ref // 2}, which nothing has written")
+                    kept[ref] = source
+            if hazards.stage(sampled, attached) and not stage["wait"]:
+                raise BundleError(f"{where}.wait is false; the stage touches what was written, or writes what was read, since "
+                                  "the last wait")
+            if stage["wait"]:
+                hazards = _Hazards(sampled, set(attached))
+            mine |= attached
+        for ref in sorted(owned - mine):
+            raise BundleError(f"plans[{k}] does not write {_show(d['values'][value_of[ref // 2]]['name'])}")
         writes.append(mine)
+    for k, mine in enumerate(writes):
+        for ref in sorted(mine & kept.keys()):
+            if kept[ref] != k:
+                raise BundleError(f"plans[{k}] writes image {ref // 2}, which plans[{kept[ref]}] keeps for others")
+
+
+class _Hazards:
+    """What was read and written since the last wait; None before the first."""
+
+    def __init__(self, read: set[int] | None = None, written: set[int] | None = None):
+        self.read, self.written = read, written
+
+    def stage(self, read: set[int], written: set[int]) -> bool:
+        """Whether this stage must wait; remembers it."""
+        if self.read is None or self.written is None:
+            return True
+        must = not (self.written.isdisjoint(read) and self.written.isdisjoint(written) and self.read.isdisjoint(written))
+        self.read |= read
+        self.written |= written
+        return must

@@ -30,10 +30,10 @@ def check_shaders(d: dict, blob) -> list[Interface]:
     for n, plan in enumerate(d["plans"]):
         for k, stage in enumerate(plan["stages"]):
             for j, draws in enumerate(stage["subpasses"]):
-                attached = [stage["attachments"][a] for a in d["passes"][stage["pass"]]["subpasses"][j]["inputs"]]
+                inputs = d["passes"][stage["pass"]]["subpasses"][j]["inputs"]
                 for i, draw in enumerate(draws):
                     where = f"plans[{n}].stages[{k}].subpasses[{j}][{i}]"
-                    _check_draw(where, draw, attached, d, interfaces, integer[draw["pipeline"]])
+                    _check_draw(where, draw, stage["attachments"], inputs, d, interfaces, integer[draw["pipeline"]])
     return interfaces
 
 
@@ -92,14 +92,14 @@ def _check_outputs(where: str, fragment: Interface, formats: list[int]) -> None:
             raise BundleError(f"{where}: colour {location} needs {_words(wanted)}; the fragment shader gives {_words(given)}")
 
 
-def _check_draw(where: str, draw: dict, attached: list[int], d: dict, interfaces, integer) -> None:
+def _check_draw(where: str, draw: dict, attached: list[int], inputs: list[int], d: dict, interfaces, integer) -> None:
     p = d["pipelines"][draw["pipeline"]]
     shader = interfaces[p["fragment"]]
     for k, (ref, binding, wanted) in enumerate(zip(draw["images"], p["bindings"], integer)):
         at, image_format = f"{where}.images[{k}]: image {ref // 2}", d["images"][ref // 2]["format"]
         if image_format == 0 or wanted is not None and wanted != (image_format in v.INTEGER_FORMATS):
             raise BundleError(f"{at} has format {image_format}; the shader reads {'integers' if wanted else 'floats'}")
-        if binding[0] == v.DESCRIPTOR_INPUT_ATTACHMENT and ref != attached[shader.bindings[k][2]]:
+        if binding[0] == v.DESCRIPTOR_INPUT_ATTACHMENT and ref != attached[inputs[shader.bindings[k][2]]]:
             raise BundleError(f"{at} is not input attachment {shader.bindings[k][2]} of the subpass")
         if binding[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER and image_format in v.INTEGER_FORMATS:
             raise BundleError(f"{at} holds integers, which no sampler filters")

@@ -20,6 +20,14 @@ def verify(args) -> None:
     from ..cache import bundle
     found = bundle.read(args.bundle)
     d = found.description
+    if args.profile is not None:
+        from ..cache.errors import BundleError
+        from ..cache.profile import Profile
+        from ..cache.verify import violations
+        profile = Profile.load(args.profile)
+        if lines := violations(d, profile, found.interfaces):
+            raise BundleError(f"{args.bundle} does not fit profile {profile.name} in {len(lines)} places; "
+                              f"the first: {lines[0]}")
     print(f"OK {args.bundle}: profile {d['profile']['name']}, {len(d['plans'])} plans, {len(d['blobs'])} blobs, "
           f"sha256 {found.digest}")
 
