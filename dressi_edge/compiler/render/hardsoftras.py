@@ -71,6 +71,8 @@ class Softness:
             raise InputError(f"r is {self.r} pixels; a positive number is needed")
         if self.sigma is not None and not (math.isfinite(self.sigma) and self.sigma > 0):
             raise InputError(f"sigma is {self.sigma} pixels; a positive number is needed")
+        if self.width < 1e-9:  # 1 / sigma times a distance in pixels must be a number of fp32, and so must its gradient
+            raise InputError(f"sigma is {self.width} pixels; at least 1e-9 is needed")
         if self.delta is not None and not (math.isfinite(self.delta) and self.delta >= 0):
             raise InputError(f"delta is {self.delta} pixels; a number >= 0 is needed")
         if not 1 <= self.layers <= MAX_LAYERS:
