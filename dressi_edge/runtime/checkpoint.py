@@ -4,8 +4,8 @@ In: the bundle's digest, a description and the bytes of images. Out: a file that
 anything is used.
 
 A file, little-endian: "DRESSICP", u32 version 1, u32 bytes of the description, the bundle's SHA-256 (32 bytes), SHA-256 of all
-that follows, then the description, msgpack {"phase": str or nil, "runs": {phase: int}, "values": [[name, bytes]]}, then the bytes
-of each value's image as the device holds them, rows from the top, in that order, without gaps.
+that follows, then the description, msgpack {"phase": str or nil, "runs": {phase: int}, "values": [[name, bytes]]}, then the
+bytes of each value's image as the device holds them, rows from the top, in that order, without gaps.
 """
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def _sync_folder(folder: str) -> None:
 
 
 def read(path: str | os.PathLike, bundle_digest: str, limit: int) -> Checkpoint:
-    """The checkpoint in a file of at most `limit` bytes of images. Raises InputError if there is no such file, BundleError if it
-    is damaged or of another bundle."""
+    """The checkpoint in a file of at most `limit` bytes of images. Raises InputError if there is no such file, BundleError if
+    it is damaged or of another bundle."""
     where, limit = os.fspath(path), HEADER.size + MAX_DESCRIPTION + limit
     try:
         with open(path, "rb") as f:

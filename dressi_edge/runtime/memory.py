@@ -11,6 +11,8 @@ from . import vk
 
 ASPECT = {False: vk.VK_IMAGE_ASPECT_COLOR_BIT, True: vk.VK_IMAGE_ASPECT_DEPTH_BIT}
 
+OUT_OF_MEMORY = (vk.VK_ERROR_OUT_OF_DEVICE_MEMORY, vk.VK_ERROR_OUT_OF_HOST_MEMORY)
+
 
 def find_memory(device, bits: int, wanted: int) -> int:
     """The first memory type among `bits` with the wanted properties, or without them if none has."""
@@ -31,8 +33,11 @@ class Images:
         self.memory: list[int] = []
         try:
             self._create(depth_format)
-        except BaseException:
+        except BaseException as error:
             self.close()
+            if isinstance(error, vk.VulkanError) and error.result in OUT_OF_MEMORY:
+                raise DeviceError(f"{device.name} has no memory for the images of this bundle ({error}); close other sessions, "
+                                  "or compile it with fewer or smaller views") from error
             raise
 
     def _create(self, depth_format: int) -> None:
@@ -42,8 +47,8 @@ class Images:
             self.handles.append([])
             for _ in range(r["slots"]):
                 image = vk.CreateImage(self.device.device, vk.VkImageCreateInfo(
-                    imageType=vk.VK_IMAGE_TYPE_2D, format=r["format"] or depth_format, extent=(r["width"], r["height"], 1), mipLevels=1,
-                    arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
+                    imageType=vk.VK_IMAGE_TYPE_2D, format=r["format"] or depth_format, extent=(r["width"], r["height"], 1),
+                    mipLevels=1, arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
                     usage=r["usage"] | (0 if r["format"] == 0 else v.USAGE_TRANSFER_DST),
                     sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE, initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
                 self.handles[-1].append(image)
@@ -97,7 +102,8 @@ class Staging:
         q = vk.GetBufferMemoryRequirements(self.device.device, self.buffer)
         wanted = vk.VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | vk.VK_MEMORY_PROPERTY_HOST_COHERENT_BIT
         kind = find_memory(self.device, q.memoryTypeBits, wanted)
-        self.memory = vk.AllocateMemory(self.device.device, vk.VkMemoryAllocateInfo(allocationSize=q.size, memoryTypeIndex=kind))
+        self.memory = vk.AllocateMemory(self.device.device, vk.VkMemoryAllocateInfo(
+            allocationSize=q.size, memoryTypeIndex=kind))
         vk.BindBufferMemory(self.device.device, self.buffer, self.memory, 0)
         address = vk.MapMemory(self.device.device, self.memory, 0, size)
         self.view = np.frombuffer((ctypes.c_uint8 * size).from_address(address), np.uint8)
@@ -118,4 +124,5 @@ class Staging:
 
 def region(record: dict, offset: int):
     """The copy of a whole image to or from the staging buffer."""
-    return vk.VkBufferImageCopy(offset, 0, 0, (vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1), (0, 0, 0), (record["width"], record["height"], 1))
+    return vk.VkBufferImageCopy(offset, 0, 0, (vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1), (0, 0, 0),
+                                (record["width"], record["height"], 1))

@@ -4,6 +4,7 @@ In: the plan's record and the bundle's description. Out: a `Plan`, which also ke
 """
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -12,11 +13,13 @@ from . import vk
 from .record import Recording
 from .work import Work
 
+CHUNK_SECONDS = 0.02  # of a step that is bounded in time or can be cancelled: about what others wait for
+
 
 class Plan:
-    """name, record (the bundle's). reads: names of all values that it or a plan it needs reads. needs: the names of those plans,
-    in the order to run them. states: the values it updates. given: names of the outputs it gives. slots: its images that are
-    held twice, whose parity chooses among `recordings`."""
+    """name, record (the bundle's). reads: names of all values that it or a plan it needs reads. needs: the names of those
+    plans, in the order to run them. states: the values it updates. given: names of the outputs it gives. slots: its images that
+    are held twice, whose parity chooses among `recordings`."""
 
     def __init__(self, record: dict, description: dict):
         plans, values = description["plans"], description["values"]
@@ -35,9 +38,26 @@ class Plan:
         self.states = tuple((values[k]["name"], values[k]["image"]) for k in record["updates"])
         self.given = tuple(values[k]["name"] for k in record["outputs"])
         used = {ref // 2 for stage in record["stages"] for ref in stage["attachments"]}
-        used |= {ref // 2 for stage in record["stages"] for draws in stage["subpasses"] for draw in draws for ref in draw["images"]}
+        subpasses = [draws for stage in record["stages"] for draws in stage["subpasses"]]
+        used |= {ref // 2 for draws in subpasses for draw in draws for ref in draw["images"]}
         self.slots = tuple(k for k in sorted(used) if description["images"][k]["slots"] == 2)
         self.recordings: dict[tuple[int, ...], Recording] = {}
+
+
+def bounded(n: int, run: Callable[[int], float], seconds: float, stop: Callable[[], object]) -> int:
+    """Up to n iterations in chunks of about `CHUNK_SECONDS`; how many were run. `run(k)` runs k and gives the seconds of one, 0
+    where that tells nothing of the next; `stop()` is asked between chunks."""
+    end, done, size, pace = time.perf_counter() + seconds, 0, 1, 0.0
+    while done < n and not stop():
+        left = end - time.perf_counter()
+        if left <= pace:
+            break
+        if pace:
+            size = max(1, min(2 * size, int(min(CHUNK_SECONDS, left) / pace)))
+        size = min(size, n - done)
+        pace = run(size)
+        done += size
+    return done
 
 
 def profile_stages(device, work: Work, stages: int, record: Callable[[int], Recording], changes: Callable[[], list],

@@ -5,7 +5,6 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Callable
 
 import numpy as np
 
@@ -21,14 +20,12 @@ from .fit import fit
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
-from .plans import Plan, profile_stages
+from .plans import Plan, bounded, profile_stages
 from .record import Recording
 from .transfer import batches, clear, download, upload
 from .work import Work
 
-MEMORY = (vk.VK_ERROR_OUT_OF_DEVICE_MEMORY, vk.VK_ERROR_OUT_OF_HOST_MEMORY)
 MAX_SUBMIT = 1 << 16  # iterations in one submission
-CHUNK_SECONDS = 0.02  # of a step that is bounded in time or can be cancelled: what others wait for at most, about
 
 
 def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None = None, *, validation: bool = False,
@@ -113,13 +110,7 @@ class Session:
 
     def _open(self) -> None:
         self._work, self._staging = Work(self.device), Staging(self.device)
-        try:
-            self._images = Images(self.device, self._d["images"], self._depth_format)
-        except vk.VulkanError as error:
-            if error.result not in MEMORY:
-                raise
-            raise DeviceError(f"{self.device.name} has no memory for the images of this bundle ({error}); close other sessions, or "
-                              "compile it with fewer or smaller views") from error
+        self._images = Images(self.device, self._d["images"], self._depth_format)
         self._work.begin(functools.partial(clear, self._images))  # the device does this while the driver compiles
         try:
             self._store = PipelineStore(self.device, self.bundle.digest)
@@ -165,11 +156,10 @@ class Session:
             self.device.close()
 
     def _lost(self, error: vk.VulkanError) -> DeviceError:
-        """Close after the device was lost, and what to raise."""
         with self._lock:
             if not self._closed:
-                self._release(f"the session is closed: {self.device.name} was lost ({error}); open the device and the bundle again, "
-                              "and restore the last checkpoint there")
+                self._release(f"the session is closed: {self.device.name} was lost ({error}); open the device and the bundle "
+                              "again, and restore the last checkpoint there")
             return DeviceError(self._closed)
 
     def __enter__(self) -> Session:
@@ -180,7 +170,8 @@ class Session:
 
     def _usable(self) -> None:
         if os.getpid() != self._process:
-            raise DeviceError(f"the session belongs to process {self._process}, of which this one is a fork; load the bundle here")
+            raise DeviceError(f"the session belongs to process {self._process}, of which this one is a fork; "
+                              "load the bundle in this process")
         if self._closed:
             raise DeviceError(self._closed)
 
@@ -200,7 +191,7 @@ class Session:
         return self._layouts[name].shape
 
     def set(self, name: str, array) -> None:
-        """Give an input or state a new value: an array of `shape(name)`. Raises InputError for a wrong shape, type, NaN or Inf."""
+        """Give an input or state a new value: an array of `shape(name)`. InputError for a wrong shape, type, NaN or Inf."""
         value = self._value(name, ("input", "state"))
         pixels = self._layouts[name].to_image(array, name)
         kind = np.int32 if is_int(value["type"]) else np.float32
@@ -225,7 +216,7 @@ class Session:
         self._staging.trim(self._largest)
 
     def get(self, name: str) -> np.ndarray:
-        """The value of an input, state or output now, float32 or int32; outputs are computed if something they need has changed."""
+        """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
         value = self._value(name, ("input", "state", "output"))
         kind = np.int32 if is_int(value["type"]) else np.float32
         image = self._d["images"][value["image"]]
@@ -263,9 +254,12 @@ class Session:
         key = tuple([self._parity[k] ^ (k in flip) if k in self._parity else 0 for k in plan.slots])
         recording = plan.recordings.get(key)
         if recording is None:
-            recording = plan.recordings[key] = Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines,
-                                                         plan.record, dict(zip(plan.slots, key)))
+            recording = plan.recordings[key] = self._record(plan, dict(zip(plan.slots, key)))
         return recording
+
+    def _record(self, plan: Plan, parity: dict[int, int], timestamps: int = 0) -> Recording:
+        return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
+                         timestamps)
 
     def _run(self, plan: Plan, n: int) -> None:
         self._ready(plan)
@@ -275,15 +269,16 @@ class Session:
         commands = [self._recording(plan).commands]
         if plan.states and n > 1:
             commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
-        changes = [(self._runs, plan.name, self._runs[plan.name] + n)]
-        for name, image in plan.states:
-            changes.append((self._version, name, self._version[name] + 1))
-            changes.append((self._parity, image, self._parity[image] ^ n & 1))
-        self._work.submit(commands, changes)
+        self._work.submit(commands, [(self._runs, plan.name, self._runs[plan.name] + n), *self._stepped(plan, n)])
         self._work.settle()
         if not plan.kept:
             plan.kept = True
             self._store.keep()
+
+    def _stepped(self, plan: Plan, n: int) -> list:
+        """What is true after n iterations."""
+        return [*((self._version, name, self._version[name] + 1) for name, _ in plan.states),
+                *((self._parity, image, self._parity[image] ^ n & 1) for _, image in plan.states)]
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         """Run n iterations of a phase (default: the current one) in one submission; how many were run.
@@ -302,7 +297,13 @@ class Session:
         stop = (lambda: False) if cancel is None else getattr(cancel, "is_set", cancel)
         if not callable(stop):
             raise InputError(f"step(cancel={cancel!r:.40}): a threading.Event or a function is needed")
-        return self._bounded(n, self._choose(phase), float("inf") if seconds is None else float(seconds), stop)
+        plan = self._choose(phase)
+
+        def run(k: int) -> float:
+            self._let_in()
+            return self._chunk(plan, k)
+
+        return bounded(n, run, float("inf") if seconds is None else float(seconds), stop)
 
     @_serial
     def _choose(self, phase: str | None) -> Plan:
@@ -323,26 +324,10 @@ class Session:
 
     @_serial
     def _chunk(self, plan: Plan, n: int) -> float:
-        """n iterations; seconds of each."""
-        start = time.perf_counter()
+        """n iterations; seconds of each, 0 for the first run of all, in which the driver may have compiled."""
+        warm, start = plan.kept, time.perf_counter()
         self._run(plan, n)
-        return (time.perf_counter() - start) / n
-
-    def _bounded(self, n: int, plan: Plan, seconds: float, stop: Callable[[], object]) -> int:
-        end, done, size, pace = time.perf_counter() + seconds, 0, 1, 0.0
-        while done < n and not stop():
-            left = end - time.perf_counter()
-            if left <= max(pace, 0.0):
-                break
-            if pace:
-                size = max(1, min(2 * size, int(min(CHUNK_SECONDS, left) / pace)))
-            size = min(size, n - done)
-            self._let_in()
-            warm = plan.kept
-            pace = self._chunk(plan, size)
-            pace = pace if warm else 0.0  # the first run of all may have compiled
-            done += size
-        return done
+        return (time.perf_counter() - start) / n if warm else 0.0
 
     def _let_in(self) -> None:
         """Let those calls begin that are waiting now: the lock alone would mostly come back to whoever just gave it up."""
@@ -363,15 +348,10 @@ class Session:
             self._run_if_changed(self._plans[needed])
 
         def record(timestamps: int) -> Recording:
-            parity = {k: self._parity.get(k, 0) for k in plan.slots}
-            return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
-                             timestamps)
+            return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
 
-        def changes() -> list:
-            return [change for name, image in plan.states for change in (
-                (self._version, name, self._version[name] + 1), (self._parity, image, self._parity[image] ^ 1))]
-
-        return profile_stages(self.device, self._work, len(plan.record["stages"]), record, changes, runs)
+        stages = len(plan.record["stages"])
+        return profile_stages(self.device, self._work, stages, record, lambda: self._stepped(plan, 1), runs)
 
     # ---- checkpoints and report
 
@@ -395,9 +375,9 @@ class Session:
         checkpoints.write(path, checkpoints.dumps(self._snapshot(), self.bundle.digest))
 
     def restore(self, path: str | os.PathLike) -> None:
-        """Take the values and counters of a checkpoint of the same bundle; what follows is bit-identical to what followed there on
-        the same device. Raises InputError if there is no such file, BundleError if it is damaged or of another bundle; nothing has
-        changed then."""
+        """Take the values and counters of a checkpoint of the same bundle; what follows is bit-identical to what followed
+        there on the same device. Raises InputError if there is no such file, BundleError if it is damaged or of another bundle;
+        nothing has changed then."""
         sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
         found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
         inputs = [name for name in found.values if name in self._given]

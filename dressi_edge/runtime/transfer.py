@@ -16,6 +16,8 @@ from .work import Change, Work
 ALIGN = 64  # of each image in the staging buffer; Vulkan asks for 4 and the size of a texel
 BATCH_BYTES = 8 << 20
 
+Copy = tuple[int, dict, np.ndarray]  # image handle, its record, its bytes as uint8
+
 
 def clear(images: Images, c: int) -> None:
     """Bring every image to GENERAL, zero."""
@@ -47,8 +49,8 @@ def _offsets(sizes: list[int]) -> tuple[list[int], int]:
     return offsets, at
 
 
-def upload(work: Work, staging: Staging, copies: Sequence[tuple[int, dict, np.ndarray]], changes: Sequence[Change] = ()) -> None:
-    """Fill images (handle, record, bytes as uint8) in one submission: all of them or, after an error, none."""
+def upload(work: Work, staging: Staging, copies: Sequence[Copy], changes: Sequence[Change] = ()) -> None:
+    """Fill images in one submission: all of them or, after an error, none."""
     work.settle()  # an interrupted transfer may still use the staging buffer
     offsets, total = _offsets([data.nbytes for _, _, data in copies])
     staging.reserve(total)
@@ -64,7 +66,7 @@ def upload(work: Work, staging: Staging, copies: Sequence[tuple[int, dict, np.nd
     work.once(copy, changes)
 
 
-def batches(copies: Sequence[tuple[int, dict, np.ndarray]]) -> list[list[tuple[int, dict, np.ndarray]]]:
+def batches(copies: Sequence[Copy]) -> list[list[Copy]]:
     """Copies in groups of `BATCH_BYTES` or one image, so that staging stays small."""
     groups, size = [[]], 0
     for copy in copies:
