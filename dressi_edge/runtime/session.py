@@ -378,6 +378,7 @@ class Session:
         """Take the values and counters of a checkpoint of the same bundle; what follows is bit-identical to what followed
         there on the same device. Raises InputError if there is no such file, BundleError if it is damaged or of another bundle;
         nothing has changed then."""
+        self._usable()
         sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
         found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
         inputs = [name for name in found.values if name in self._given]
