@@ -1,0 +1,153 @@
+"""Bundles for other players to replay: `python -m tests.make_vectors` writes tests/vectors/ anew.
+
+Each vector is NAME.dressi and NAME.json: what to set, step and get in order, and the arrays that must come back within
+`tolerance`, relative to the largest magnitude of the array or to 1. An array is its values in row-major order and its shape, as
+docs/bundle-format.md has it; fp32 values are written so that they come back exact.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from dressi_edge import runtime
+from dressi_edge.cache.bundle import dumps
+from dressi_edge.cache.layout import Layout
+from dressi_edge.cache.profile import Profile
+from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler.functions import apply, dot, lookup, mean, to_float, total
+from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.render.texture import sample_texture
+from dressi_edge.compiler.topology import Topology
+
+FOLDER = Path(__file__).parent / "vectors"
+PROFILE = "lavapipe"
+UNIT = Layout("unit", "float")
+
+
+def image(vtype, width, height):
+    return Layout("image", vtype, width, height)
+
+
+def ops():
+    """Elementwise work on a table of three channels, with a padded last row."""
+    p, table = Program(), Layout("table", "vec3", count=13)
+    x, scale = p.input("x", table), p.input("scale", UNIT, 0.5)
+    p.plan("map", {}, {"y": (apply("sin", x) * scale + 1.0, table)})
+    data = np.linspace(-2, 2, 39, dtype=np.float32).reshape(13, 3)
+    return p, [("set", "x", data), ("get", "y"), ("set", "scale", np.float32(2.0)), ("get", "y")]
+
+
+def reduction():
+    """A sum and a mean over an image whose sides are no powers of two."""
+    p, layout = Program(), image("vec2", 11, 7)
+    x = p.input("x", layout)
+    p.plan("reduce", {}, {"sum": (total(x), Layout("unit", "vec2")), "mean": (mean(dot(x, x)), UNIT)})
+    data = np.random.default_rng(1).uniform(-1, 1, (7, 11, 2)).astype(np.float32)
+    return p, [("set", "x", data), ("get", "sum"), ("get", "mean")]
+
+
+def states():
+    """Two phases, states that change places, a counter, an output of a phase, and a part that is prepared once."""
+    p, table = Program(), Layout("table", "float", count=6)
+    a, t = p.state("a", table, np.arange(6) / 4), p.state("t", Layout("unit", "int"))
+    b, rate = p.state("b", table, 1.0), p.input("rate", UNIT, 0.25)
+    kept = apply("cos", apply("sin", lookup(p.input("fixed", table, np.arange(6)), np.arange(6)[::-1])))
+    p.plan("walk", {"a": b + kept * rate, "b": a * 0.5, "t": apply("add", t, 1)}, {"loss": (total(a * a) + to_float(t), UNIT)})
+    p.plan("rest", {"a": a * 0.5}, {}, steps=2)
+    p.plan("look", {}, {"doubled": (a * 2.0, table)})
+    seen = [("get", name) for name in ("a", "b", "t", "doubled")]
+    return p, [*seen, ("step", "walk", 1), ("get", "loss"), *seen, ("step", "walk", 4), ("get", "loss"), *seen,
+               ("step", "rest", 3), *seen, ("set", "a", np.ones(6, np.float32)), ("set", "fixed", np.zeros(6, np.float32)),
+               ("step", "walk", 2), *seen]
+
+
+def silhouette():
+    """The silhouette of two triangles in three views of an atlas: draws with depth test and a viewport a cell."""
+    p, count = Program(), 4
+    clip = p.input("clip", Layout("table", "vec4", count=3 * count))
+    faces = np.array([(0, 1, 2), (0, 2, 3)])
+    layers = Layers(clip, Topology(faces, count), Atlas(16, 12, 3, 2), Softness(2.0, layers=1), 0.1)
+    p.plan("render", {}, {"covered": (layers.stencil, Layout("atlas", "int", 16, 12, 3, 2))})
+    quad = np.array([(-1.03, -1.11, 1, 2), (1.17, -1.09, 1, 2), (0.93, 1.21, 1.4, 2.5), (-0.71, 1.07, 1.4, 2.5)])
+    views = np.concatenate([quad, quad[::-1] * (0.6, 1.3, 1, 1), quad * (-0.9, 0.7, 1, 1)])
+    return p, [("set", "clip", views.astype(np.float32)), ("get", "covered")]
+
+
+def texture():
+    """A texture sampled over its border, by the device's filter: a combined image sampler that repeats."""
+    p = Program()
+    texels, uv = p.input("texels", image("vec3", 4, 3)), p.input("uv", image("vec2", 6, 5))
+    p.plan("sample", {}, {"y": (sample_texture(texels, uv, "repeat", "exact"), image("vec3", 6, 5))})
+    rng = np.random.default_rng(2)
+    return p, [("set", "texels", rng.uniform(0, 1, (3, 4, 3)).astype(np.float32)),
+               ("set", "uv", rng.uniform(-1, 2, (5, 6, 2)).astype(np.float32)), ("get", "y")]
+
+
+# what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
+TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture)}
+
+
+def compiled(name: str) -> tuple[bytes, list]:
+    """The bundle's bytes, and what to do with it."""
+    program, steps = VECTORS[name]()
+    description, assembler = describe(program, Profile.load(PROFILE))
+    return dumps(description, assembler.blobs), steps
+
+
+def perform(session, step: tuple):
+    """Do one step on a session; the array it gets, or None."""
+    what, name, *rest = step
+    if what == "set":
+        session.set(name, rest[0])
+    elif what == "step":
+        session.step(rest[0], name)
+    else:
+        return session.get(name)
+
+
+def _plain(x) -> dict:
+    x = np.asarray(x)
+    return {"type": "i4" if x.dtype.kind == "i" else "f4", "shape": list(x.shape), "values": x.ravel().tolist()}
+
+
+def _array(record: dict) -> np.ndarray:
+    return np.array(record["values"], record["type"]).reshape(record["shape"])
+
+
+def load(name: str) -> tuple[list, list, float]:
+    """The steps, what each must give, and the tolerance."""
+    record = json.loads((FOLDER / f"{name}.json").read_text())
+    steps = [(s["do"], s["name"], *([_array(s["array"])] if s["do"] == "set" else [s["count"]] if s["do"] == "step" else []))
+             for s in record["steps"]]
+    return steps, [_array(s["array"]) if s["do"] == "get" else None for s in record["steps"]], record["tolerance"]
+
+
+def write(name: str, device: str) -> int:
+    """One vector; the bytes of its files."""
+    data, steps = compiled(name)
+    path = FOLDER / f"{name}.dressi"
+    path.write_bytes(data)
+    record = []
+    with runtime.load(path, device) as session:
+        for step in steps:
+            found = perform(session, step)
+            what, about, *rest = step
+            record.append({"do": what, "name": about, **({"count": rest[0]} if what == "step" else
+                                                         {"array": _plain(rest[0] if what == "set" else found)})})
+    lines = ",\n".join("  " + json.dumps(step) for step in record)
+    text = path.with_suffix(".json")
+    text.write_text(f'{{"about": {json.dumps(VECTORS[name].__doc__)}, "tolerance": {TOLERANCE[name]}, "steps": [\n{lines}\n]}}\n')
+    return len(data) + text.stat().st_size
+
+
+def main() -> None:
+    FOLDER.mkdir(exist_ok=True)
+    for name in VECTORS:
+        print(name, write(name, sys.argv[1] if sys.argv[1:] else "llvmpipe"), "bytes")
+
+
+if __name__ == "__main__":
+    main()
