@@ -34,6 +34,8 @@ from ..ops.reduce import TILE
 from ..topology import Topology
 
 MAX_LAYERS = 5
+# Twice the area of a face over the square of its size as seen from the pixel: below this it is rounding noise, as is its inverse.
+DEGENERATE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -222,14 +224,16 @@ class Layers:
 
     def barycentrics(self, layer: Layer) -> list[Node]:
         """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
-        point; Olano and Greer 1997)."""
+        point; Olano and Greer 1997). A third each, without gradient, where the face is too thin on screen for fp32 to tell."""
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
         h = [apply("swizzle", lookup(c, layer.face, self.face_boxes), channels="xyw") * scale for c in self.corners(self.clip, True)]
         a = [x.xy - layer.point * x.z for x in h]
         e = [_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])]
         total = e[0] + e[1] + e[2]
-        total = select(absolute(total) > 1e-20, total, 1.0)
-        b = [clamp(x / total, 0.0, 1.0) for x in e]
+        size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
+        solid = absolute(total) > size * DEGENERATE
+        total = select(solid, total, 1.0)
+        b = [select(solid, clamp(x / total, 0.0, 1.0), 1 / 3) for x in e]
         norm = maximum(b[0] + b[1] + b[2], 1e-5)
         return [x / norm for x in b]
 
