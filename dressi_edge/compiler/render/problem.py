@@ -33,6 +33,7 @@ from .normals import vertex_normals
 from .optimizer import Adam, Sgd
 from .schedule import Schedule
 from .shade import Light, encode_srgb, lambert
+from .texture import sample_texture
 
 SHADINGS = ("unlit", "lambert")
 ALBEDOS = ("texture", "colors", "constant")
@@ -138,13 +139,9 @@ class Problem:
 
     # ---- graph
 
-    def _view_table(self, optimized: set[str]) -> ViewTable:
-        base = fixed_views(self.cameras)
-        if optimized & {"rotation", "translation"} or self.posed:
-            return posed_views(base, self.parameters["rotation"], self.parameters["translation"])
-        return base
-
-    posed = False
+    def _view_table(self) -> ViewTable:
+        """The views as posed now; where no phase moves them this is computed once (the reactive cache)."""
+        return posed_views(fixed_views(self.cameras), self.parameters["rotation"], self.parameters["translation"])
 
     def _chosen(self, step: Node) -> Node | None:
         """The view of this step, or None for all."""
@@ -172,7 +169,6 @@ class Problem:
         for layer in layers.layers:
             weights = layers.barycentrics(layer)
             if self.albedo == "texture":
-                from .texture import sample_texture
                 uv = layers.interpolate_constant(layer, self.mesh.uvs[self.mesh.uv_faces], weights)
                 color = sample_texture(self.parameters["texture"], uv, wrap=self.wrap, gradient=self.texture_grad,
                                        covered=layer.face >= 0, step=step)
@@ -213,11 +209,10 @@ class Problem:
                 raise InputError(f"phase {name}: no parameter {parameter!r}; there are: {' '.join(self.parameters)}")
         if type(steps) is not int or steps < 1:
             raise InputError(f"phase {name}: steps is {steps!r}; 1 or more are needed")
-        self.posed = self.posed or bool(set(optimize) & {"rotation", "translation"})
         softness = softness or Softness()
         step = self.program.state(f"{name}.step", Layout("unit", "int"), 0)
         view = self._chosen(step)
-        table = self._view_table(set(optimize))
+        table = self._view_table()
         atlas = self.all_views if view is None else Atlas(self.width, self.height, 1, 1)
         layers = target = None
         if any(loss.kind in IMAGE_LOSSES for loss in losses):
@@ -247,7 +242,7 @@ class Problem:
         """Add a plan that draws all views: output `<name>.color` (views, height, width, 4), RGBA with straight colour over the
         background, or `<name>.silhouette` (views, height, width)."""
         n, atlas = len(self.cameras), self.all_views
-        layers = Layers(to_clip(self.parameters["vertices"], self._view_table(set())), self.topology, atlas, softness or Softness(),
+        layers = Layers(to_clip(self.parameters["vertices"], self._view_table()), self.topology, atlas, softness or Softness(),
                         fixed_views(self.cameras).near)
         alpha = layers.silhouette()
         if color:
