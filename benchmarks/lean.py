@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -136,12 +137,13 @@ def main() -> None:
                for name, value in rows[-1].items()}
         row["import_ms_least"] = min(r["import_ms"] for r in rows[1:])
         row |= host_time(path, options.device, 100 if options.quick else 400)
-    row |= {"installed_bytes": installed(), "python": platform.python_version(), "system": platform.system(),
-            "machine": platform.machine(), "cpus": os.cpu_count(), "runs": runs}
+    row["installed_bytes"] = installed()
+    versions = {"driver": row.pop("driver"), "python": platform.python_version(), "numpy": metadata.version("numpy"),
+                "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPUs"}
+    told = {"device": row.pop("device"), "versions": versions, "results": [{"case": "lean", "runs": runs, **row}]}
     size = row["installed_bytes"]
     own = [m for m in row["modules"] if m.startswith("dressi_edge")]
-    print(f"{row['device']}, {row['driver']}; Python {row['python']}, {row['system']} {row['machine']}, {row['cpus']} CPUs; "
-          f"median of {runs} processes\n")
+    print(f"{told['device']}, {versions['driver']}; Python {versions['python']}, {versions['system']}; median of {runs} processes\n")
     for name, value in (
             ("modules beyond numpy and msgpack", f"{len(row['modules'])}, {len(own)} of them ours"),
             ("import beyond numpy and msgpack", f"{row['import_ms']:.0f} ms, least {row['import_ms_least']:.0f} ms"),
@@ -158,7 +160,7 @@ def main() -> None:
         print(f"| {name:48} | {value:26} |")
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,17 +2,26 @@
 
 import gc
 import os
+import re
+import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from graphs import ROOT, python
 from test_session import walk
 
 from dressi_edge import runtime
+from dressi_edge.cache.errors import DeviceError
+from dressi_edge.cache.layout import Layout
+from dressi_edge.compiler import Program
+from dressi_edge.compiler.functions import apply, mean
 from dressi_edge.runtime import vk
+from dressi_edge.runtime.device import Device
+from dressi_edge.runtime.emulate import EmulatedDevice
 
-pytest_plugins = ["gpu"]
+pytest_plugins = ["gpu", "profile_bundles"]
 
 INSTALLED_BYTES = 400_000  # of Python, the generated binding included
 IMPORTS = 100  # modules beyond those of numpy and msgpack
@@ -89,7 +98,6 @@ def test_every_object_made_is_destroyed_once(bundle, monkeypatch):
 
 def test_a_device_left_with_objects_says_so(bundle):
     """The layer does see what is not given back: the test above would fail."""
-    from dressi_edge.runtime.device import Device
     device = Device.open("llvmpipe", validation=True)
     vk.CreateFence(device.device, vk.VkFenceCreateInfo())
     device.close()
@@ -122,3 +130,45 @@ def test_running_a_bundle_imports_little_and_no_compiler(bundle, tmp_path):
 def test_what_is_installed_is_small():
     files = [p for part in ("runtime", "cache") for p in (ROOT / "dressi_edge" / part).glob("*.py")]
     assert sum(p.stat().st_size for p in files) < INSTALLED_BYTES
+
+
+# docs/embedding.md
+
+
+BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "embedding.md").read_text(encoding="utf-8"), re.S)
+
+
+def test_the_app_of_the_guide_runs_and_goes_on_where_it_was_stopped(gpu, tmp_path):
+    p = Program()
+    targets = p.input("targets", Layout("table", "vec3", count=5))
+    vertices = p.state("vertices", Layout("table", "vec3", count=5), 0.0)
+    error = targets - vertices
+    p.plan("fit", {"vertices": vertices + error * 0.125}, {"fit.loss": (mean(apply("dot", error, error)), Layout("unit", "float"))})
+    path, wanted = gpu.compile(p), np.arange(15.0).reshape(5, 3)
+    np.save(tmp_path / "targets.npy", wanted)
+    assert len(BLOCKS[0].strip().splitlines()) <= 20
+
+    def run(code=BLOCKS[0]):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRESSI_DEVICE": "llvmpipe"}
+        done = subprocess.run([sys.executable, "-c", code, path, "targets.npy", "saved"], cwd=tmp_path, env=environment,
+                              capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return [line.split()[0] for line in done.stdout.splitlines()]
+
+    counts = run(BLOCKS[0].replace("< 500", "< 150"))
+    assert counts[-1] == "200"
+    assert run()[-1] == "500"
+    np.testing.assert_allclose(np.load(tmp_path / "vertices.npy"), wanted, atol=1e-5)
+    assert run() == []
+
+
+def test_the_guide_opens_the_best_bundle_that_fits(gpu, profile_bundle):
+    names = {"runtime": runtime, "DeviceError": DeviceError}
+    exec(BLOCKS[1], names)  # noqa: S102
+    paths = profile_bundle("unlimited", 3), profile_bundle("limit4", 3)
+    for device, expected in ((gpu.device, "unlimited"), (EmulatedDevice(gpu.device, "limit4"), "limit4")):
+        with names["open_best"](paths, device) as s:
+            assert s.bundle.description["profile"]["name"] == expected
+    with pytest.raises(DeviceError, match="unlimited, does not fit limit4"):
+        names["open_best"](paths[:1], EmulatedDevice(gpu.device, "limit4"))
+    gpu.silent()
