@@ -123,7 +123,8 @@ def tables(found: Sequence[dict]) -> str:
     for problem in dict.fromkeys(r["problem"] for r in found):
         by_numbers: dict[str, list[str]] = {}
         for name in dict.fromkeys(r["profile"] for r in found):
-            plain, cached = (next(r for r in found if (r["problem"], r["profile"], r["cache"]) == (problem, name, c)) for c in (False, True))
+            plain, cached = (next(r for r in found if (r["problem"], r["profile"], r["cache"]) == (problem, name, cache))
+                             for cache in (False, True))
             numbers = f"{cell(plain['step'])} | {cell(cached['step'])} | {cell(cached['prepare'])} |"
             by_numbers.setdefault(numbers, []).append(name)
         lines += [f"**{problem}**", "", "| profile | step without cache | MB | step | MB | prepare | MB |",
