@@ -98,7 +98,7 @@ def _group(bundles, names, softness):
     return rows
 
 
-SIZE, RADIUS, DISTANCE = 56, 20.0, 50.0
+SIZE, RADIUS, DISTANCE = 56, 20.0, 12.0  # within the far plane of `project`
 
 
 def hull(points):
@@ -108,7 +108,8 @@ def hull(points):
     def half(ps):
         out = []
         for p in ps:
-            while len(out) > 1 and np.cross(np.subtract(out[-1], out[-2]), np.subtract(p, out[-2])) <= 0:
+            while len(out) > 1 and ((out[-1][0] - out[-2][0]) * (p[1] - out[-2][1])
+                                    <= (out[-1][1] - out[-2][1]) * (p[0] - out[-2][0])):
                 out.pop()
             out.append(p)
         return out[:-1]
@@ -164,7 +165,7 @@ def part_coverage(bundles):
         edge = np.sqrt(4 * np.pi * RADIUS ** 2 / len(ball.faces) * 4 / np.sqrt(3))
         move = (found[:, 1:] * true[:, 1:]).sum(1) / np.linalg.norm(found[:, 1:], axis=1) / np.linalg.norm(true[:, 1:], axis=1)
         scale = found[:, 0] / true[:, 0]
-        rows.append(case | {"sigma": softness.width, "delta": softness.r if case["delta"] is None else case["delta"], "edge_px": edge,
+        rows.append(case | {"sigma": softness.width, "delta": softness.r if case["delta"] is None else case["delta"], "edge_px": float(edge),
                             "scale_ratio": float(scale.mean()), "scale_spread": float(scale.std()),
                             "move_ratio": float(np.linalg.norm(found[:, 1:], axis=1).mean() / np.linalg.norm(true[:, 1:], axis=1).mean()),
                             "move_cosine": float(move.mean()), "move_worst": float(move.min())})
