@@ -25,6 +25,7 @@ from .record import Recording
 from .transfer import batches, clear, download, upload
 from .work import Work
 
+KIND = (np.float32, np.int32)
 MAX_SUBMIT = 1 << 16  # iterations in one submission
 
 
@@ -78,8 +79,7 @@ class Session:
         self.bundle, self.device, self._owns_device = bundle, device, owns_device
         self._d = bundle.description
         self._process = os.getpid()
-        self._lock, self._waiting = threading.RLock(), set()
-        self._closed = ""  # why
+        self._lock, self._waiting, self._closed = threading.RLock(), set(), ""  # why it is closed
         self._images = self._pipelines = self._staging = self._store = self._work = None
         if device.process != self._process:
             raise DeviceError("the device was opened before this process was forked; open another")
@@ -158,8 +158,8 @@ class Session:
     def _lost(self, error: vk.VulkanError) -> DeviceError:
         with self._lock:
             if not self._closed:
-                self._release(f"the session is closed: {self.device.name} was lost ({error}); open the device and the bundle "
-                              "again, and restore the last checkpoint there")
+                self._release(f"the session is closed: {self.device.name} was lost ({error}); open device and bundle again, and "
+                              "restore the last checkpoint there")
             return DeviceError(self._closed)
 
     def __enter__(self) -> Session:
@@ -194,7 +194,7 @@ class Session:
         """Give an input or state a new value: an array of `shape(name)`. InputError for a wrong shape, type, NaN or Inf."""
         value = self._value(name, ("input", "state"))
         pixels = self._layouts[name].to_image(array, name)
-        kind = np.int32 if is_int(value["type"]) else np.float32
+        kind = KIND[is_int(value["type"])]
         if CHANNELS[value["type"]] == 3:
             pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
         with np.errstate(over="ignore"):
@@ -218,9 +218,8 @@ class Session:
     def get(self, name: str) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
         value = self._value(name, ("input", "state", "output"))
-        kind = np.int32 if is_int(value["type"]) else np.float32
         image = self._d["images"][value["image"]]
-        pixels = np.frombuffer(self._get(value), kind).reshape(image["height"], image["width"], -1)
+        pixels = np.frombuffer(self._get(value), KIND[is_int(value["type"])]).reshape(image["height"], image["width"], -1)
         return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).copy()
 
     @_serial
@@ -294,16 +293,11 @@ class Session:
             return self._step(n, phase)
         if seconds is not None and not (isinstance(seconds, int | float | np.number) and seconds >= 0):
             raise InputError(f"step(seconds={seconds!r:.40}): 0 or more is needed")
-        stop = (lambda: False) if cancel is None else getattr(cancel, "is_set", cancel)
+        stop = bool if cancel is None else getattr(cancel, "is_set", cancel)
         if not callable(stop):
             raise InputError(f"step(cancel={cancel!r:.40}): a threading.Event or a function is needed")
         plan = self._choose(phase)
-
-        def run(k: int) -> float:
-            self._let_in()
-            return self._chunk(plan, k)
-
-        return bounded(n, run, float("inf") if seconds is None else float(seconds), stop)
+        return bounded(n, lambda k: self._chunk(plan, k), float("inf") if seconds is None else float(seconds), stop)
 
     @_serial
     def _choose(self, phase: str | None) -> Plan:
@@ -322,12 +316,17 @@ class Session:
             self._run(plan, min(n - first, MAX_SUBMIT))
         return n
 
-    @_serial
     def _chunk(self, plan: Plan, n: int) -> float:
-        """n iterations; seconds of each, 0 for the first run of all, in which the driver may have compiled."""
-        warm, start = plan.kept, time.perf_counter()
+        """n iterations, after what waits; seconds of each, 0 for the first run of all, in which the driver may have compiled."""
+        self._let_in()
+        warm = plan.kept
+        return warm * self._timed(plan, n) / n
+
+    @_serial
+    def _timed(self, plan: Plan, n: int) -> float:
+        start = time.perf_counter()
         self._run(plan, n)
-        return (time.perf_counter() - start) / n if warm else 0.0
+        return time.perf_counter() - start
 
     def _let_in(self) -> None:
         """Let those calls begin that are waiting now: the lock alone would mostly come back to whoever just gave it up."""
@@ -350,8 +349,8 @@ class Session:
         def record(timestamps: int) -> Recording:
             return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
 
-        stages = len(plan.record["stages"])
-        return profile_stages(self.device, self._work, stages, record, lambda: self._stepped(plan, 1), runs)
+        count = len(plan.record["stages"])
+        return profile_stages(self.device, self._work, count, record, lambda: self._stepped(plan, 1), runs)
 
     # ---- checkpoints and report
 
@@ -359,7 +358,7 @@ class Session:
     def _snapshot(self) -> checkpoints.Checkpoint:
         self._work.settle()
         runs = {name: self._runs[name] for name in self.phases}
-        names = self._kept(runs, [name for name, given in self._given.items() if given])
+        names = self._kept(runs, [n for n, given in self._given.items() if given])
         data = download(self._work, self._staging, [self._handle(self.values[name]["image"]) for name in names])
         self._staging.trim(self._largest)
         return checkpoints.Checkpoint(self.phase, runs, dict(zip(names, data)))

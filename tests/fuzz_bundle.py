@@ -1,0 +1,166 @@
+"""Damage test vectors at random and read them: `python tests/fuzz_bundle.py [MUTATIONS [SEED]]`, or `make fuzz`.
+
+Nothing but BundleError may come out, and no read may take longer or more memory than its bytes allow. Three kinds: bytes of the file;
+words of a shader, with checksums repaired; fields of the description (replaced, removed, doubled, moved from elsewhere), packed
+again with right checksums. What is still accepted also goes through what a session counts before it calls a driver.
+"""
+
+import copy
+import random
+import sys
+import time
+import tracemalloc
+
+import msgpack
+from hostile_bundles import FOLDER, packed, vector
+
+from dressi_edge.cache import bundle
+from dressi_edge.cache.errors import BundleError
+from dressi_edge.cache.profile import Profile, misfit
+from dressi_edge.cache.summary import dot, text
+from dressi_edge.cache.verify import violations
+
+NAMES = ("ops", "reduction", "states", "texture")
+NUMBERS = (-1, 0, 1, 2, 3, 4, 5, 7, 8, 10, 16, 17, 23, 31, 99, 100, 109, 126, 255, 65535, 65536, 1 << 20, 1 << 31, 1 << 40, 1 << 63,
+           (1 << 64) - 1)
+ODD = (None, True, False, 0.5, float("nan"), float("inf"), "", "a", "input", b"", b"x" * 32, [], {}, [[]], [0], [0, 0, 0, 0], {"a": 1})
+SECONDS, BYTES_PER_BYTE, BYTES = 5.0, 128, 1 << 20  # what one read may take
+
+
+def places(x, found: list) -> list:
+    """(container, key) of everything in it, outermost first."""
+    for key in list(x) if isinstance(x, dict) else range(len(x)):
+        found.append((x, key))
+        if isinstance(x[key], (dict, list)):
+            places(x[key], found)
+    return found
+
+
+def mutate_fields(d: dict, r: random.Random) -> None:
+    for _ in range(r.choice((1, 1, 1, 2, 3))):
+        found = places(d, [])
+        x, key = r.choice(found)
+        old = x[key]
+        kind = r.randrange(8)
+        if kind < 2 and type(old) is int:
+            x[key] = old + r.choice((-2, -1, 1, 2))
+        elif kind < 4:
+            x[key] = r.choice(NUMBERS)
+        elif kind == 4:
+            x[key] = copy.deepcopy(r.choice(ODD))
+        elif kind == 5:
+            other, k = r.choice(found)
+            x[key] = copy.deepcopy(other[k])
+        elif kind == 6:
+            del x[key]
+        elif isinstance(x, list):
+            x.insert(r.randrange(len(x) + 1), copy.deepcopy(old))
+        else:
+            x[r.choice(("", "pass", "name", key + "s"))] = old
+
+
+def mutate_words(blob: bytes, r: random.Random) -> bytes:
+    words = [blob[k:k + 4] for k in range(0, len(blob), 4)]
+    for _ in range(r.choice((1, 1, 2, 4))):
+        at = r.randrange(len(words))
+        word = int.from_bytes(words[at], "little")
+        words[at] = r.choice((r.getrandbits(32), r.getrandbits(6), word ^ 1 << r.randrange(32), word + 1 & 0xFFFFFFFF,
+                              int.from_bytes(r.choice(words), "little"))).to_bytes(4, "little")
+    return b"".join(words[:r.randrange(len(words))] if r.random() < 0.1 else words)
+
+
+def mutate_bytes(data: bytes, r: random.Random) -> bytes:
+    out = bytearray(data)
+    for _ in range(r.choice((1, 2, 4, 16))):
+        at = r.randrange(len(out))
+        kind = r.randrange(4)
+        if kind == 0:
+            out[at] ^= 1 << r.randrange(8)
+        elif kind == 1:
+            out[at] = r.choice((0, 1, 0x7f, 0x80, 0xc1, 0xdc, 0xdd, 0xdf, 0xff))
+        elif kind == 2:
+            del out[at:at + r.randrange(1, 9)]
+        else:
+            out[at:at] = out[r.randrange(len(out)):][:r.randrange(1, 9)]
+        if not out:
+            return b""
+    return bytes(out)
+
+
+class Fuzz:
+    """`one()` makes a mutation and reads it; `counts` says what came of each kind."""
+
+    def __init__(self, seed: int):
+        self.r = random.Random(seed)
+        self.sources = [vector(name) for name in NAMES]
+        self.files = [(FOLDER / f"{name}.dressi").read_bytes() for name in NAMES]
+        self.profiles = [Profile.load("vulkan_min"), Profile.load("lavapipe")]
+        self.counts = {kind: [0, 0] for kind in ("bytes", "text", "words", "fields")}
+        self.messages: set[str] = set()
+
+    def make(self, kind: str) -> bytes:
+        r = self.r
+        if kind == "bytes":
+            return mutate_bytes(r.choice(self.files), r)
+        d, blobs = r.choice(self.sources)
+        if kind == "text":
+            return packed(mutate_bytes(msgpack.packb(d), r), bytes(64))
+        if kind == "words":
+            blobs = list(blobs)
+            k = r.choice(d["shaders"])
+            blobs[k] = mutate_words(blobs[k], r)
+            return bundle.dumps(d, blobs)
+        d = msgpack.unpackb(msgpack.packb(d))
+        mutate_fields(d, r)
+        return bundle.dumps(d, blobs)
+
+    def one(self) -> None:
+        kind = self.r.choice(("bytes", "text", "words", "words", "fields", "fields", "fields", "fields"))
+        data = self.make(kind)
+        start = time.perf_counter()
+        accepted = False
+        try:
+            found = bundle.loads(data)
+            accepted = True
+        except BundleError as e:
+            message = str(e)
+            assert 0 < len(message) < 500 and message.isprintable(), ascii(message)
+            self.messages.add("".join(c for c in message if not c.isdigit()))
+        if accepted:
+            for profile in self.profiles:
+                violations(found.description, profile, found.interfaces)
+                misfit({**found.description["needs"]["limits"], **found.description["needs"]["formats"]}, profile)
+            text(found.description)
+            dot(found.description)
+        assert time.perf_counter() - start < SECONDS, f"{len(data)} bytes took {time.perf_counter() - start:.1f} s"
+        self.counts[kind][accepted] += 1
+
+
+def run(mutations: int, seed: int, measure: bool = False) -> Fuzz:
+    """So many mutations; with `measure` the memory of each too, which is slow."""
+    fuzz = Fuzz(seed)
+    for n in range(mutations):
+        state = fuzz.r.getstate()
+        try:
+            if measure:
+                tracemalloc.start()
+            fuzz.one()
+            if measure:
+                assert tracemalloc.get_traced_memory()[1] < BYTES_PER_BYTE * 50_000 + BYTES
+        except Exception:
+            print(f"mutation {n} of seed {seed}", file=sys.stderr)
+            fuzz.r.setstate(state)
+            raise
+        finally:
+            if measure:
+                tracemalloc.stop()
+    return fuzz
+
+
+if __name__ == "__main__":
+    count, seed = (int(x) for x in (*sys.argv[1:], *("200000", "0")[len(sys.argv) - 1:]))
+    start = time.perf_counter()
+    done = run(count, seed)
+    print(f"{count} mutations of seed {seed} in {time.perf_counter() - start:.0f} s, {len(done.messages)} different messages")
+    for kind, (refused, accepted) in done.counts.items():
+        print(f"  {kind}: {refused} refused, {accepted} accepted")

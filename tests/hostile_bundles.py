@@ -1,0 +1,231 @@
+"""Malformed bundles as a table: a test vector, what to change, and the message that must come.
+
+A change is (path, value): the value replaces what the path names in the description; `DROP` removes it. Paths are those of the
+messages. Checksums and offsets are right again afterwards, so that only the check behind the change can find it. `FILES` are changes
+of the bytes themselves.
+"""
+
+import copy
+import hashlib
+import re
+import struct
+
+import msgpack
+from make_vectors import FOLDER
+
+from dressi_edge.cache import bundle
+
+DROP = object()
+HEAD = bundle.HEADER
+DEEP = []
+for _ in range(500):
+    DEEP = [DEEP]
+STAGE = "plans[1].stages[0]"
+PASS = "passes[0]"
+
+
+def vector(name: str) -> tuple[dict, list[bytes]]:
+    """A fresh description without "blobs", and the blobs."""
+    b = bundle.read(FOLDER / f"{name}.dressi")
+    blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
+    return {k: x for k, x in copy.deepcopy(b.description).items() if k != "blobs"}, blobs
+
+
+def change(d, path: str, value) -> None:
+    """Set what the path names."""
+    *way, last = [int(n) if n else k for k, n in re.findall(r"(\w+)|\[(\d+)\]", path) for k, n in [(k, n)]]
+    for step in way:
+        d = d[step]
+    if value is DROP:
+        del d[last]
+    elif isinstance(d, list) and last == len(d):
+        d.append(value)
+    else:
+        d[last] = value
+
+
+def packed(description, tail: bytes = b"") -> bytes:
+    """A file whose description is this msgpack or object, with a right checksum and nothing behind it."""
+    text = description if isinstance(description, bytes) else msgpack.packb(description)
+    return HEAD.pack(bundle.MAGIC, 1, 0, len(text), hashlib.sha256(text).digest()) + text + tail
+
+
+ROWS = [
+    # the top, meta, needs
+    ("lacks", "ops", [("plans", DROP)], "description lacks plans"),
+    ("unknown_key", "ops", [("surprise", 1)], "description has the unknown key 'surprise'"),
+    ("unknown_key_is_cut", "ops", [("s" * 1000, 1)], "has the unknown key 'sss"),
+    ("meta_list", "ops", [("meta", [])], "meta is a list of 0; a map is needed"),
+    ("meta_deep", "ops", [("meta.x", DEEP)], "meta is nested deeper than 16"),
+    ("meta_time", "ops", [("meta.x", msgpack.Timestamp(1, 1))], "the description has the byte 0xd7 at "),
+    ("profile_name", "ops", [("profile.name", "")], "profile.name is ''; a text of 1 to 200 characters"),
+    ("profile_deep", "ops", [("profile.name", DEEP)], "profile.name is a list of 1; a text"),
+    ("profile_control", "ops", [("profile.name", "\x1b[2J")], "profile.name is '\\x1b[2J'; a text"),
+    ("needs_limit", "ops", [("needs.limits.maxHats", 1)], "needs.limits names 'maxHats', which this reader does not know"),
+    ("needs_value", "ops", [("needs.limits.maxImageDimension2D", -1)], "needs.limits.maxImageDimension2D is -1; an integer from 0"),
+    ("needs_format", "ops", [("needs.formats.R8_UNORM", [])], "needs.formats names 'R8_UNORM', which this reader does not know"),
+    ("needs_feature", "ops", [("needs.formats.R32_SFLOAT", ["blend"])], "needs.formats.R32_SFLOAT[0] is 'blend'; allowed: sampled"),
+    ("depth_format", "silhouette", [("depth_formats", [99])], "depth_formats[0] is 99; allowed: 126 125"),
+    # images and samplers
+    ("image_format", "ops", [("images[0].format", 37)], "images[0].format is 37; allowed: 0 99 100 102 103 108 109"),
+    ("image_format_bool", "ops", [("images[0].format", False)], "images[0].format is False; allowed"),
+    ("image_width", "ops", [("images[0].width", 0)], "images[0].width is 0; an integer from 1 to 65536 is allowed"),
+    ("image_height", "ops", [("images[0].height", 1 << 63)], "images[0].height is 9223372036854775808; an integer from 1"),
+    ("image_float", "ops", [("images[0].width", 4.0)], "images[0].width is 4.0; an integer"),
+    ("image_slots", "ops", [("images[0].slots", 3)], "images[0].slots is 3; an integer from 1 to 2"),
+    ("image_two_slots", "ops", [("images[0].slots", 2)], "images[0].slots is 2; only the image of a state has two"),
+    ("image_usage", "ops", [("images[0].usage", 8)], "images[0].usage is 8; bits of 151 are allowed"),
+    ("depth_usage", "silhouette", [("images[9].usage", 36)], "images[9].usage is 36; bits of 32 are allowed"),
+    ("image_data", "states", [("images[2].data", 99)], "images[2].data is 99; an integer from 0 to 11"),
+    ("image_data_usage", "states", [("images[2].usage", 4)], "images[2].data needs a colour format, one slot and usage 2"),
+    ("image_data_size", "states", [("images[2].data", 2)], "images[2].data: blobs[2] has 4 bytes; 32 are needed"),
+    ("sampler", "texture", [("samplers[0]", 1)], "samplers[0] is 1; allowed: 0 2"),
+    # shaders and passes
+    ("shader", "ops", [("shaders[0]", -1)], "shaders[0] is -1; an integer from 0"),
+    ("shader_is_data", "states", [("shaders[0]", 0)], "shaders[0]: begins with"),
+    ("shader_small", "states", [("shaders[0]", 2)], "shaders[0]: 4 bytes are no SPIR-V module"),
+    ("pass_load", "ops", [(f"{PASS}.attachments[0].load", 3)], "passes[0].attachments[0].load is 3; an integer from 0 to 2"),
+    ("pass_store", "ops", [(f"{PASS}.attachments[0].store", None)], "passes[0].attachments[0].store is None"),
+    ("pass_clear", "ops", [(f"{PASS}.attachments[0].clear", -1)], "passes[0].attachments[0].clear is -1; an integer from 0 to 0"),
+    ("depth_load", "silhouette", [("passes[1].attachments[1].load", 0)], "passes[1].attachments[1].load is 0; an integer from 1"),
+    ("pass_empty", "ops", [(f"{PASS}.subpasses", [])], "passes[0].subpasses is a list of 0; at least one is needed"),
+    ("pass_many", "ops", [(f"{PASS}.subpasses", [0] * 1025)], "passes[0].subpasses is a list of 1025; a list of at most 1024"),
+    ("pass_color", "ops", [(f"{PASS}.subpasses[0].colors", [1])], "passes[0].subpasses[0].colors[0] is 1; an integer from 0 to 0"),
+    ("pass_twice", "ops", [(f"{PASS}.subpasses[0].colors", [0, 0])], "passes[0].subpasses[0]: an attachment is used twice"),
+    ("pass_both", "ops", [(f"{PASS}.subpasses[0].inputs", [0])], "passes[0].subpasses[0]: an attachment is used twice"),
+    ("pass_input_first", "states", [("passes[1].subpasses[0].colors", [0, 1]), ("passes[1].subpasses[0].inputs", [2])],
+     "passes[1].subpasses[0].inputs[0]: attachment 2 was neither loaded nor written by an earlier subpass"),
+    ("pass_depth", "ops", [(f"{PASS}.subpasses[0].depth", 0)], "passes[0].subpasses[0].depth is no depth attachment"),
+    ("pass_depth_color", "silhouette", [("passes[1].subpasses[0].colors", [1])], "passes[1].subpasses[0].colors[0] is a depth att"),
+    # pipelines
+    ("pipeline_shader", "ops", [("pipelines[0].vertex", 9)], "pipelines[0].vertex is 9; an integer from 0 to 1"),
+    ("pipeline_swapped", "ops", [("pipelines[0].vertex", 1)], "pipelines[0].vertex: shader 1 is for the fragment stage"),
+    ("pipeline_subpass", "ops", [("pipelines[0].subpass", 1)], "pipelines[0].subpass is 1; an integer from 0 to 0"),
+    ("pipeline_depth", "ops", [("pipelines[0].depth", True)], "pipelines[0].depth is True; false, or true with a depth attachment"),
+    ("pipeline_topology", "ops", [("pipelines[0].topology", 4)], "pipelines[0].topology is 4; allowed: 0 3"),
+    ("binding_kind", "ops", [("pipelines[0].bindings[0][0]", 7)], "pipelines[0].bindings[0][0] is 7; allowed: 1 2 10"),
+    ("binding_stage", "ops", [("pipelines[0].bindings[0][1]", 32)], "pipelines[0].bindings[0][1] is 32; allowed: 1 16 17"),
+    ("binding_unseen", "ops", [("pipelines[0].bindings[0][1]", 1)], "pipelines[0].bindings[0] is not visible to the fragment"),
+    ("binding_sampler", "texture", [("pipelines[0].bindings[0][2]", 1)], "pipelines[0].bindings[0][2] is 1; an integer from 0 to 0"),
+    ("binding_short", "ops", [("pipelines[0].bindings[0]", [2, 16])], "pipelines[0].bindings[0] is a list of 2; a list of 3"),
+    ("binding_missing", "states", [("pipelines[3].bindings", []), ("plans[2].stages[0].subpasses[0][0].images", [])],
+     "pipelines[3].fragment: the shader uses 1 bindings; the pipeline has 0"),
+    ("binding_other_kind", "texture", [("pipelines[0].bindings[1]", [1, 16, 0])], "pipelines[0].bindings[1] is a combined image"),
+    # values
+    ("value_name", "ops", [("values[1].name", "x")], "values[1].name 'x' is taken"),
+    ("value_role", "ops", [("values[0].role", "god")], "values[0].role is 'god'; allowed: input state output"),
+    ("value_type", "ops", [("values[0].type", "mat4")], "values[0].type is 'mat4'; allowed: float vec2"),
+    ("value_kind", "ops", [("values[0].layout", "cube")], "values[0].layout is 'cube'; allowed: unit table image atlas"),
+    ("value_count", "ops", [("values[0].count", 130)], "values[0]: its image is 4 x 4; 4 x 33 is needed"),
+    ("value_count_huge", "ops", [("values[0].count", 1 << 30)], "values[0]: its image is 4 x 4; 0 x 0 is needed"),
+    ("value_atlas_huge", "silhouette", [("values[1].columns", 1 << 30)], "values[1]: its image is 32 x 24; "),
+    ("value_format", "ops", [("values[0].type", "ivec3")], "values[0]: its image has format 109, which does not hold ivec3"),
+    ("value_usage", "ops", [("images[1].usage", 4)], "values[0]: its image lacks usage 3"),
+    ("value_image", "ops", [("values[2].image", 77)], "values[2].image is 77; an integer from 0"),
+    ("value_shared", "states", [("values[2].image", 4)], "values[2].image 4 is that of values[0]"),
+    ("value_constant", "states", [("images[1].data", 5)], "values[4]: its image 1 is a constant"),
+    ("value_slots", "states", [("values[2].role", "input"), ("plans[1].updates", [0, 1])], "images[5].slots is 2; only the image of a"),
+    ("value_initial", "states", [("values[0].initial", 2)], "values[0].initial: blobs[2] has 4 bytes; 32 are needed"),
+    ("value_output_initial", "states", [("values[6].initial", 1)], "values[6].initial: an output has none"),
+    # plans
+    ("plan_name", "states", [("plans[3].name", "rest")], "plans[3].name 'rest' is taken"),
+    ("plan_steps", "states", [("plans[1].steps", 1 << 41)], "plans[1].steps is 2199023255552; an integer from 0"),
+    ("plan_updates_input", "states", [("plans[1].updates[0]", 3)], "plans[1].updates[0] is input 'rate'; state is allowed"),
+    ("plan_updates_twice", "states", [("plans[1].updates", [0, 2, 1, 0])], "plans[1].updates names something twice"),
+    ("plan_updates_one_slot", "states", [("images[5].slots", 1)], "plans[1].updates[1]: the image of 'b' has one slot; two are needed"),
+    ("plan_outputs_state", "states", [("plans[1].outputs[0]", 0)], "plans[1].outputs[0] is state 'a'; output is allowed"),
+    ("plan_needs_itself", "states", [("plans[1].needs", [1])], "plans[1].needs[0] is 1; an integer from 0 to 0"),
+    ("plan_needs_twice", "states", [("plans[1].needs", [0, 0])], "plans[1].needs[1] is 0; an integer from 1 to 0"),
+    ("plan_needs_needy", "states", [("plans[3].needs", [1])], "plans[3].needs[0]: plans[1] itself needs or updates something"),
+    ("plan_lacks_read", "states", [("plans[1].reads", [2, 0])], "plans[1].stages[1] reads 't', which plans[1].reads lacks"),
+    ("plan_without_output", "states", [("plans[3].outputs", [5])], "plans[3].stages[0].attachments[0]: image 9 is not for this plan"),
+    ("plan_lost_need", "states", [("plans[1].needs", [])], "plans[1].stages[0] reads image 0, which nothing has written"),
+    ("plan_idle", "states", [("plans[2].stages", [])], "plans[2] does not write 'a'"),
+    # stages
+    ("stage_pass", "states", [(f"{STAGE}.pass", 5)], "plans[1].stages[0].pass is 5; an integer from 0 to 2"),
+    ("stage_wait", "states", [(f"{STAGE}.wait", 1)], "plans[1].stages[0].wait is 1; a boolean is needed"),
+    ("stage_first_wait", "states", [(f"{STAGE}.wait", False)], "plans[1].stages[0].wait is false; the stage touches what was written"),
+    ("stage_hazard", "states", [("plans[1].stages[1].wait", False)], "plans[1].stages[1].wait is false"),
+    ("stage_size", "states", [(f"{STAGE}.width", 5)], "plans[1].stages[0].attachments[0]: image 4 is 4 x 2, the stage is 5 x 2"),
+    ("stage_attachments", "states", [(f"{STAGE}.attachments", [9, 11])], "plans[1].stages[0].attachments is a list of 2; a list of 3"),
+    ("stage_attached_twice", "states", [(f"{STAGE}.attachments", [9, 9, 16])], "plans[1].stages[0].attachments names something twice"),
+    ("stage_attachment_deep", "states", [(f"{STAGE}.attachments[0]", DEEP)], "plans[1].stages[0].attachments[0] is a list of 1; an"),
+    ("stage_slot", "states", [(f"{STAGE}.attachments[2]", 17)], "plans[1].stages[0].attachments[2] is 17: the second slot of an image"),
+    ("stage_format", "states", [(f"{STAGE}.attachments[0]", 13)], "plans[1].stages[0].attachments[0]: image 6 of format 99 and usage"),
+    ("stage_current", "states", [(f"{STAGE}.attachments[0]", 8), (f"{STAGE}.subpasses[0][0].images[2]", 10)],
+     "plans[1].stages[0].attachments[0]: image 4 is not for this plan to write"),
+    ("stage_foreign", "states", [("plans[2].stages[0].attachments[0]", 11)], "plans[2].stages[0].attachments[0]: image 5 is not for"),
+    ("stage_none", "states", [("plans[3].stages[1]", None)], "plans[3].stages[1] is None; a map is needed"),
+    ("stage_kept", "states", [("plans[3].stages[1]", {
+        "pass": 0, "width": 4, "height": 2, "attachments": [0], "wait": True, "subpasses": [[]]})],
+     "plans[3] writes image 0, which plans[0] keeps for others"),
+    ("stage_subpasses", "states", [(f"{STAGE}.subpasses", [])], "plans[1].stages[0].subpasses is a list of 0; a list of 1 is needed"),
+    ("draw_pipeline", "states", [(f"{STAGE}.subpasses[0][0].pipeline", 0)], "[0][0].pipeline 0 is made for another pass"),
+    ("draw_images", "states", [(f"{STAGE}.subpasses[0][0].images", [10])], "subpasses[0][0].images is a list of 1; a list of 3"),
+    ("draw_ref", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 20)], "[0][0].images[0] is 20; an integer from 0 to 19"),
+    ("draw_usage", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 14)], "[0][0].images[0]: image 7 lacks usage 4"),
+    ("draw_feedback", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 16)], "images[0]: image 8 is written by the same stage"),
+    ("draw_next_slot", "states", [("plans[2].stages[0].subpasses[0][0].images[0]", 11)], "reads image 5, which nothing has written"),
+    ("draw_integers", "texture", [("images[2].format", 102), ("values[1].type", "ivec2")], "image 2 has format 102; the shader reads"),
+    ("draw_vertices", "states", [(f"{STAGE}.subpasses[0][0].vertices", 0)], "[0][0].vertices is 0; an integer from 1 to 2147483647"),
+    ("draw_cell", "states", [(f"{STAGE}.subpasses[0][0].cells[0]", [1, 0, 4, 2])], "cells[0] leaves the stage of 4 x 2"),
+    ("draw_cell_negative", "states", [(f"{STAGE}.subpasses[0][0].cells[0]", [-1, 0, 4, 2])], "cells[0][0] is -1; an integer from 0"),
+    ("draw_depth", "states", [(f"{STAGE}.subpasses[0][0].depth_range", [0.0, 1.5])], "depth_range is a list of 2; two floats"),
+    ("draw_depth_nan", "states", [(f"{STAGE}.subpasses[0][0].depth_range", [float("nan"), 1.0])], "depth_range is a list of 2; two"),
+    ("cycle", "silhouette", [("plans[0].stages[0].subpasses[0][0].images[0]", 2)], "images[0]: image 1 is written by the same stage"),
+    ("late", "silhouette", [("plans[0].stages[1].subpasses[0][0].images[2]", 0)], "image 0 lacks usage 4"),
+]
+
+
+def files() -> dict[str, tuple[bytes, str]]:
+    """Name -> bytes and message, for what is wrong with the file as such."""
+    good = (FOLDER / "ops.dressi").read_bytes()
+    d, blobs = vector("ops")
+    size = struct.unpack_from("<Q", good, 16)[0]
+
+    def shift(at, x):
+        return good[:at] + x + good[at + len(x):]
+
+    entries = bundle.loads(good).description["blobs"]
+    moved = {**d, "blobs": [[entries[0][0] + 64, *entries[0][1:]], *entries[1:]]}
+    huge = {**d, "blobs": [*entries[:-1], [entries[-1][0], 1 << 40, entries[-1][2]]]}
+    return {
+        "empty": (b"", "0 bytes; a bundle has at least 56"),
+        "magic": (shift(0, b"PNG"), "not a bundle: the file does not begin with DRESSI"),
+        "line_ends": (shift(6, b"\n"), "not a bundle"),
+        "version": (shift(8, b"\2"), "format version 2; this reader knows 1"),
+        "reserved": (shift(12, b"\1"), "reserved field is 1; 0 is allowed"),
+        "size": (shift(16, b"\xff" * 8), "truncated: the description has 18446744073709551615 bytes"),
+        "digest": (shift(24, b"\0" * 32), "the description's checksum does not match; the file is damaged"),
+        "text": (shift(60, b"\0\0"), "the description's checksum does not match; the file is damaged"),
+        "padding": (shift(56 + size, b"\1"), "blobs[0]: at "),
+        "blob": (shift(entries[0][0], b"\xff"), "blobs[0]: the checksum does not match; the file is damaged"),
+        "after": (good + b"\0", f"{len(good) + 1} bytes; {len(good)} are needed, zeros after the last blob"),
+        "short": (good[:-1], f"{len(good) - 1} bytes; {len(good)} are needed"),
+        "no_msgpack": (packed(b"\xc1"), "the description has the byte 0xc1 at 0"),
+        "extension": (packed(b"\xd4\1\1"), "the description has the byte 0xd4 at 0"),
+        "claims": (packed(b"\xdd\xff\xff\xff\xff"), "the description claims more than its 5 bytes can hold"),
+        "claims_nested": (packed(b"\xdc\xff\xff" * 30000), "the description claims more than its 90000 bytes can hold"),
+        "claims_map": (packed(b"\xdf\0\1\0\0" + b"\xa0\xc0" * 50000), "the description claims more than"),
+        "claims_text": (packed(b"\xdb\xff\xff\xff\xff"), "the description ends within a value"),
+        "deep": (packed(b"\x91" * 5000 + b"\xc0"), "the description is no msgpack: StackError"),
+        "utf8": (packed(b"\x81\xa1\xff\xc0"), "the description is no msgpack: UnicodeDecodeError"),
+        "two_values": (packed(b"\xc0\xc0"), "the description is no msgpack: ExtraData"),
+        "number": (packed(b"\x07"), "description is 7; a map is needed"),
+        "integer_key": (packed(b"\x81\1\1"), "the description is no msgpack: ValueError"),
+        "key_twice": (packed(b"\x82\xa1a\xc0\xa1a\xc0"), "a map of the description names a key twice"),
+        "moved": (packed(moved), "blobs[0]: at "),
+        "huge": (packed(huge, good[56 + size:]), "blobs[0]: the checksum does not match"),
+        "no_blobs": (packed({**d, "blobs": []}), "shaders[0] is 1; an integer from 0 to -1 is allowed"),
+        "blob_row": (packed({**d, "blobs": [[0, 1]]}), "blobs[0] is a list of 2; a list of 3 is needed"),
+        "blob_digest": (packed({**d, "blobs": [[0, 1, b"x"]]}), "blobs[0][2] is b'x'; 32 bytes are needed"),
+        "blob_size": (packed({**d, "blobs": [[0, 1 << 41, bytes(32)]]}), "blobs[0][1] is 2199023255552; an integer from 0"),
+    }
+
+
+def spoiled(base: str, changes) -> bytes:
+    """The file with these changes."""
+    d, blobs = vector(base)
+    for path, value in changes:
+        change(d, path, value)
+    return bundle.dumps(d, blobs)

@@ -1,0 +1,174 @@
+"""Small enough to embed: what loading imports, what is installed, and that closing gives everything back."""
+
+import gc
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graphs import ROOT, python
+from test_session import walk
+
+from dressi_edge import runtime
+from dressi_edge.cache.errors import DeviceError
+from dressi_edge.cache.layout import Layout
+from dressi_edge.compiler import Program
+from dressi_edge.compiler.functions import apply, mean
+from dressi_edge.runtime import vk
+from dressi_edge.runtime.device import Device
+from dressi_edge.runtime.emulate import EmulatedDevice
+
+pytest_plugins = ["gpu", "profile_bundles"]
+
+INSTALLED_BYTES = 400_000  # of Python, the generated binding included
+IMPORTS = 100  # modules beyond those of numpy and msgpack
+RSS_GROWTH = 16 << 20  # over all cycles: what allocators keep, not what a session holds
+
+
+@pytest.fixture(scope="module")
+def bundle(gpu):
+    return gpu.compile(walk())
+
+
+def rss() -> int:
+    with open("/proc/self/statm") as f:
+        return int(f.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def cycles(gpu, bundle, count):
+    """Load, use, close on one device under the validation layer: RSS stays, and every object made is destroyed."""
+    def cycle():
+        with runtime.load(bundle, gpu.device) as s:
+            s.step(3)
+            s.get("picture")
+
+    for _ in range(20):
+        cycle()
+    gc.collect()
+    before = rss()
+    for _ in range(count):
+        cycle()
+    gc.collect()
+    gpu.silent()
+    return rss() - before
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system has no /proc to read the memory of a process from")
+def test_200_sessions_one_after_another_leave_nothing(gpu, bundle):
+    assert cycles(gpu, bundle, 200) < RSS_GROWTH
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system has no /proc to read the memory of a process from")
+def test_1000_sessions_one_after_another_leave_nothing(gpu, bundle):
+    assert cycles(gpu, bundle, 1000) < RSS_GROWTH
+
+
+def counted(table, kind, real, many):
+    """A Vulkan command that counts the objects it makes or destroys."""
+    def call(*args, **options):
+        result = real(*args, **options)
+        table[kind] = table.get(kind, 0) + many(args, result)
+        return result
+
+    return call
+
+
+def test_every_object_made_is_destroyed_once(bundle, monkeypatch):
+    made, gone = {}, {}
+    for name in dir(vk):
+        for prefix, table in (("Create", made), ("Allocate", made), ("Destroy", gone), ("Free", gone)):
+            kind = name.removeprefix(prefix).replace("GraphicsPipelines", "Pipeline")
+            if name.startswith(prefix) and kind != "DescriptorSets":  # those go with their pool
+                def many(args, result, table=table, kind=kind):
+                    return len(args[2]) if table is gone and kind == "CommandBuffers" else \
+                        len(result) if isinstance(result, list) else 1
+                monkeypatch.setattr(vk, name, counted(table, kind, getattr(vk, name), many))
+    with runtime.load(bundle, "llvmpipe") as s:
+        s.step(3)
+        s.get("picture")
+        s.set("rate", 0.5)
+        s.profile_stages("walk", 1)
+    made["CommandBuffers"] -= 1  # that of the transfers goes with its pool
+    assert made == gone and len(made) > 12
+
+
+def test_a_device_left_with_objects_says_so(bundle):
+    """The layer does see what is not given back: the test above would fail."""
+    device = Device.open("llvmpipe", validation=True)
+    vk.CreateFence(device.device, vk.VkFenceCreateInfo())
+    device.close()
+    assert any("VkFence" in line for line in device.messages)
+
+
+IMPORT = """
+import sys
+import msgpack, numpy
+before = set(sys.modules)
+from dressi_edge import runtime
+with runtime.load(sys.argv[1], "llvmpipe") as s:
+    s.step(2)
+    s.get("picture")
+    s.checkpoint(sys.argv[2])
+    s.restore(sys.argv[2])
+print(*sorted(set(sys.modules) - before))
+"""
+
+
+def test_running_a_bundle_imports_little_and_no_compiler(bundle, tmp_path):
+    loaded = python(IMPORT, bundle, tmp_path / "c").split()
+    foreign = ("dressi_edge.compiler", "dressi_edge.commands", "trimesh", "PIL", "scipy")
+    assert [m for m in loaded if m.startswith(foreign)] == []
+    assert len(loaded) < IMPORTS, loaded
+    ours = {m.split(".")[0] for m in loaded}
+    assert ours - {"dressi_edge"} <= set(sys.stdlib_module_names)
+
+
+def test_what_is_installed_is_small():
+    files = [p for part in ("runtime", "cache") for p in (ROOT / "dressi_edge" / part).glob("*.py")]
+    assert sum(p.stat().st_size for p in files) < INSTALLED_BYTES
+
+
+# docs/embedding.md
+
+
+BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "embedding.md").read_text(encoding="utf-8"), re.S)
+
+
+def test_the_app_of_the_guide_runs_and_goes_on_where_it_was_stopped(gpu, tmp_path):
+    p = Program()
+    targets = p.input("targets", Layout("table", "vec3", count=5))
+    vertices = p.state("vertices", Layout("table", "vec3", count=5), 0.0)
+    error = targets - vertices
+    p.plan("fit", {"vertices": vertices + error * 0.125}, {"fit.loss": (mean(apply("dot", error, error)), Layout("unit", "float"))})
+    path, wanted = gpu.compile(p), np.arange(15.0).reshape(5, 3)
+    np.save(tmp_path / "targets.npy", wanted)
+    assert len(BLOCKS[0].strip().splitlines()) <= 20
+
+    def run(code=BLOCKS[0]):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRESSI_DEVICE": "llvmpipe"}
+        done = subprocess.run([sys.executable, "-c", code, path, "targets.npy", "saved"], cwd=tmp_path, env=environment,
+                              capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return [line.split()[0] for line in done.stdout.splitlines()]
+
+    counts = run(BLOCKS[0].replace("< 500", "< 150"))
+    assert counts[-1] == "200"
+    assert run()[-1] == "500"
+    np.testing.assert_allclose(np.load(tmp_path / "vertices.npy"), wanted, atol=1e-5)
+    assert run() == []
+
+
+def test_the_guide_opens_the_best_bundle_that_fits(gpu, profile_bundle):
+    names = {"runtime": runtime, "DeviceError": DeviceError}
+    exec(BLOCKS[1], names)  # noqa: S102
+    paths = profile_bundle("unlimited", 3), profile_bundle("limit4", 3)
+    for device, expected in ((gpu.device, "unlimited"), (EmulatedDevice(gpu.device, "limit4"), "limit4")):
+        with names["open_best"](paths, device) as s:
+            assert s.bundle.description["profile"]["name"] == expected
+    with pytest.raises(DeviceError, match="unlimited, does not fit limit4"):
+        names["open_best"](paths[:1], EmulatedDevice(gpu.device, "limit4"))
+    gpu.silent()
