@@ -73,7 +73,8 @@ def test_a_camera_comes_back(gpu, tmp_path):
     target = pictures(Problem(bumpy(), cams, albedo="constant"), gpu, tmp_path / "t.dressi")
     problem = Problem(bumpy(), as_views(target, cams), albedo="constant")
     problem.phase("pose", 120, {"rotation": Adam({"start": 0.01, "end": 0.001, "steps": 120}),
-                                "translation": Adam({"start": 0.02, "end": 0.002, "steps": 120})}, [Loss("silhouette")], Softness(3.0, layers=2))
+                                "translation": Adam({"start": 0.02, "end": 0.002, "steps": 120})}, [Loss("silhouette")],
+                  Softness(3.0, layers=2))
     problem.compile("lavapipe", tmp_path / "x.dressi")
     rng = np.random.default_rng(1)
     with runtime.load(tmp_path / "x.dressi", gpu.device) as s:

@@ -67,7 +67,8 @@ if (max(max(c0.w, c1.w), c2.w) >= {near}) {
             vec2 d = (l.x == longest ? d0 : l.y == longest ? d1 : d2) / max(longest, 1e-20);
             if (longest < 1e-20) d = vec2(1.0, 0.0);
             vec2 n = vec2(-d.y, d.x);
-            vec3 along = vec3(dot(p0 - a, d), dot(p1 - a, d), dot(p2 - a, d)), across = vec3(dot(p0 - a, n), dot(p1 - a, n), dot(p2 - a, n));
+            vec3 along = vec3(dot(p0 - a, d), dot(p1 - a, d), dot(p2 - a, d));
+            vec3 across = vec3(dot(p0 - a, n), dot(p1 - a, n), dot(p2 - a, n));
             float lo = min(min(along.x, along.y), along.z) - reach, hi = max(max(along.x, along.y), along.z) + reach;
             float under = min(min(across.x, across.y), across.z) - reach, over = max(max(across.x, across.y), across.z) + reach;
             o = a + d * (corner == 1 || corner == 3 || corner == 5 ? hi : lo) + n * (corner >= 2 && corner != 3 ? over : under);
@@ -181,7 +182,8 @@ if ({y}.x < 1e8) {
     }
 }""", doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen; 1e9 for all others.")
 
-op("nearest_edge", "code face_edges segments position active", absent=((4, -1),), infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
+op("nearest_edge", "code face_edges segments position active", absent=((4, -1),),
+   infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
    reads="own texel texel own own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,
    glsl="""{y} = -1;
 if ({code} >= 0 && {active} != 0) {
