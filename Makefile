@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 .ONESHELL:
 .SHELLFLAGS := -ec
 .DELETE_ON_ERROR:
-.PHONY: setup test test-full demo clean
+.PHONY: setup test test-full fuzz demo clean
 
 setup: $(READY)
 
@@ -20,6 +20,9 @@ test: setup
 test-full: setup
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/pytest -q -m 'full or not full' $(ARGS)
+
+fuzz: setup
+	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_bundle.py $(or $(MUTATIONS),200000) $(or $(SEED),0)
 
 demo: setup
 	$(VENV)/bin/dressi-edge demo -o demo_out
