@@ -165,7 +165,8 @@ def part_coverage(bundles):
         edge = np.sqrt(4 * np.pi * RADIUS ** 2 / len(ball.faces) * 4 / np.sqrt(3))
         move = (found[:, 1:] * true[:, 1:]).sum(1) / np.linalg.norm(found[:, 1:], axis=1) / np.linalg.norm(true[:, 1:], axis=1)
         scale = found[:, 0] / true[:, 0]
-        rows.append(case | {"sigma": softness.width, "delta": softness.r if case["delta"] is None else case["delta"], "edge_px": float(edge),
+        delta = softness.r if case["delta"] is None else case["delta"]
+        rows.append(case | {"sigma": softness.width, "delta": delta, "edge_px": float(edge),
                             "scale_ratio": float(scale.mean()), "scale_spread": float(scale.std()),
                             "move_ratio": float(np.linalg.norm(found[:, 1:], axis=1).mean() / np.linalg.norm(true[:, 1:], axis=1).mean()),
                             "move_cosine": float(move.mean()), "move_worst": float(move.min())})
