@@ -78,18 +78,22 @@ def processor_ms() -> float:
 
 
 class Meter:
-    """Runs one thing again and again: wall milliseconds of each run, processor milliseconds of a run in each round."""
+    """Runs one thing again and again: wall milliseconds of each run, processor milliseconds of a run in each round.
+    `prepare` goes before each run and is not counted."""
 
-    def __init__(self, run: Callable[[], object]):
-        self.run, self.walls, self.cpus = run, [], []
+    def __init__(self, run: Callable[[], object], prepare: Callable[[], object] | None = None):
+        self.run, self.prepare, self.walls, self.cpus = run, prepare, [], []
 
     def round(self, count: int) -> None:
-        before = processor_ms()
+        used = 0.0
         for _ in range(count):
-            start = time.perf_counter()
+            if self.prepare is not None:
+                self.prepare()
+            before, start = processor_ms(), time.perf_counter()
             self.run()
             self.walls.append((time.perf_counter() - start) * 1e3)
-        self.cpus.append((processor_ms() - before) / count)
+            used += processor_ms() - before
+        self.cpus.append(used / count)
 
     @property
     def row(self) -> dict:
@@ -152,10 +156,11 @@ class Case:
             s._work.settle()
         return run
 
-    def hard_draw(self) -> Callable[[], None]:
-        """Draws the faces of the step's first raster draw, which for one layer is hard and has nothing else to do."""
-        d = self.session.bundle.description
-        for stage in self.session.plans[self.plan]["stages"]:
+    def hard_draw(self) -> Meter:
+        """Draws the faces of the step's first raster draw, which for one layer is hard and has nothing else to do. The stages before
+        it go first, not counted: their images may have served the end of the step for something else."""
+        d, stages = self.session.bundle.description, self.session.plans[self.plan]["stages"]
+        for k, stage in enumerate(stages):
             if any(a["format"] == 0 for a in d["passes"][stage["pass"]]["attachments"]):
                 found, kept = False, []
                 for draws in stage["subpasses"]:
@@ -163,7 +168,7 @@ class Case:
                     found = found or bool(first)
                     kept.append(first)
                 if found:
-                    return self._recorded([{**stage, "subpasses": kept}])
+                    return Meter(self._recorded([{**stage, "subpasses": kept}]), self._recorded(stages[:k]))
         raise SystemExit(f"{self.plan} draws no hard faces: the yardstick needs one layer")
 
     def copy(self) -> Callable[[], None]:
@@ -373,7 +378,7 @@ def measure(name: str, problem, target, layers: Sequence[int], folder: Path, opt
             opened[k].session.set("targets", image)
             opened[k].session.step(3 if options.quick else WARM, "fit")
         steps = {k: Meter(case.step) for k, case in opened.items()}
-        hard, copy = Meter(opened[1].hard_draw()), Meter(opened[1].copy())
+        hard, copy = opened[1].hard_draw(), Meter(opened[1].copy())
         take_turns([*steps.values(), hard, copy], options.seconds, *((1, 2) if options.quick else ()))
         yard = hard.row
         for k, case in opened.items():
