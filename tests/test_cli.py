@@ -233,7 +233,7 @@ def test_wrong_usage_is_exit_code_2(capsys, args, expected):
     (["run", "x.dressi", "-o", "none/out.glb"], "does not exist; create it first"),
     (["run", "x.dressi", "--device", "reference"], "runs a job (.toml)"),
     (["run", "photos/0.png"], "not a bundle"), (["inspect", "job.toml"], "not a bundle"),
-    (["verify", "photos"], "Is a directory"),
+    (["verify", "photos"], "is no regular file"),
     (["profiles", "show", "limit5"], "did you mean limit"), (["profiles", "check", "photos/transforms.json"], "unknown key"),
     (["profiles", "merge", "limit4", "limit8", "-n", "A B"], "1 to 64 of a-z"),
     (["demo", "-o", "job.toml"], "cannot be made a folder")])

@@ -102,6 +102,8 @@ def read(path: str | os.PathLike, pin: str | None = None) -> Bundle:
             data = f.read(found.st_size + 1)
     except OSError as e:
         raise BundleError(f"{path}: cannot be read: {e.strerror}") from None
+    except BundleError:
+        raise
     except ValueError:
         raise BundleError(f"{str(path)!r:.200}: is no path") from None
     try:
