@@ -61,6 +61,10 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("--device", metavar="NAME", help=f"number or part of the name of a Vulkan device{more}; "
                          "default $DRESSI_DEVICE, else the best there is")
 
+    def emulation(sub):
+        sub.add_argument("--emulate", metavar="PROFILE", help="let the device report and enforce this profile's limits, formats "
+                         "and features")
+
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
     sub.add_argument("job", help="the job, a TOML file")
     sub.add_argument("-p", "--profile", required=True,
@@ -76,6 +80,7 @@ def parser() -> argparse.ArgumentParser:
                      "OUT_loss.png and OUT_metrics.json beside it (needs the compiler's packages); "
                      "OUT.npz: the states as arrays")
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
+    emulation(sub)
     sub.add_argument("--explain", action="store_true", help="print what ran how often, and what the session occupies")
     json_switch(sub)
 
@@ -88,12 +93,14 @@ def parser() -> argparse.ArgumentParser:
     sub = command("verify", "check a bundle without a device", target="bundle:verify")
     sub.add_argument("bundle")
     sub.add_argument("-p", "--profile", help="and that it keeps every limit of this profile")
+    sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
 
     sub = command("bench", "time a bundle: each stage of each plan by device timestamps, and whole steps", target="bench:bench")
     sub.add_argument("bundle")
     sub.add_argument("--runs", type=_steps, default=9, metavar="N",
                      help="how often each plan runs; the median counts (default 9)")
     device(sub)
+    emulation(sub)
     json_switch(sub)
 
     sub = command("profiles", "list, show, check, merge and capture device profiles")

@@ -1,5 +1,6 @@
 """The command line: each kind of failure has its exit code and one line; a job becomes a mesh; the device needs no compiler."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -176,11 +177,21 @@ def test_verify_says_ok_or_the_first_thing_wrong(solved, tmp_path, capsys):
     assert here(capsys, "verify", solved[0] / "x.dressi", "-p", "lavapipe")[0] == 0
     code, _, err = here(capsys, "verify", solved[0] / "x.dressi", "-p", "limit4")
     assert code == 3 and "does not fit profile limit4" in one_line(err)
+    digest = hashlib.sha256((solved[0] / "x.dressi").read_bytes()).hexdigest()
+    assert here(capsys, "verify", solved[0] / "x.dressi", "--pin", digest)[0] == 0
+    code, _, err = here(capsys, "verify", solved[0] / "x.dressi", "--pin", digest[::-1])
+    assert code == 3 and "the pin is" in one_line(err)
     data = bytearray((solved[0] / "x.dressi").read_bytes())
     data[len(data) // 2] ^= 1
     (tmp_path / "bad.dressi").write_bytes(data)
     code, out, err = here(capsys, "verify", tmp_path / "bad.dressi")
     assert code == 3 and not out and "checksum" in one_line(err)
+
+
+def test_emulation_holds_a_bundle_to_another_device(solved, capsys):
+    code, _, err = here(capsys, "run", solved[0] / "x.dressi", "--steps", "1", "--emulate", "limit4")
+    assert code == 4 and "limit4" in one_line(err)
+    assert here(capsys, "run", solved[0] / "x.dressi", "--steps", "1", "--emulate", "unlimited")[0] == 0
 
 
 def test_debug_and_dump_show_what_was_compiled(tmp_path):

@@ -18,7 +18,7 @@ def inspect(args) -> None:
 
 def verify(args) -> None:
     from ..cache import bundle
-    found = bundle.read(args.bundle)
+    found = bundle.read(args.bundle, pin=args.pin)
     d = found.description
     if args.profile is not None:
         from ..cache.errors import BundleError

@@ -85,7 +85,7 @@ def _open(args):
         raise InputError(f"{args.bundle} is a job; make a bundle of it first: "
                          f"dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
     from .. import runtime
-    return runtime.load(args.bundle, args.device)
+    return runtime.load(args.bundle, args.device, emulate=args.emulate)
 
 
 def _todo(session, args) -> list[tuple[str, int]]:
