@@ -4,23 +4,15 @@ from __future__ import annotations
 import json
 import os
 import sys
-import tempfile
 
 from ..cache.errors import InputError
+from ..cache.files import replace_file
 
 
 def write_file(path: str, data: bytes) -> None:
     """Replaces the file whole or not at all. Raises InputError."""
-    folder, base = os.path.split(os.path.abspath(path))
     try:
-        handle, name = tempfile.mkstemp(dir=folder, prefix=f".{base}.")
-        try:
-            with os.fdopen(handle, "wb") as f:
-                f.write(data)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
+        replace_file(path, data)
     except OSError as error:
         raise InputError(f"output {path}: cannot be written: {error.strerror}; choose another path") from None
 

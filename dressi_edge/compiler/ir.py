@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from ..cache.errors import GraphError
 from ..cache.layout import CHANNELS, is_int, table_size
 
-__all__ = ["CHANNELS", "Data", "Extent", "Node", "UNIT", "image", "intern", "is_int", "rebuild", "table", "topological", "users",
+__all__ = ["CHANNELS", "Data", "Extent", "Node", "UNIT", "image", "intern", "is_int", "rebuild", "table", "topological",
            "vector_type"]
 
 
@@ -113,8 +113,8 @@ def intern(op, inputs: tuple[Node, ...], attrs: dict, vtype: str, extent: Extent
     return node
 
 
-def topological(roots: Iterable[Node]) -> list[Node]:
-    """Every node that the roots need, inputs before users; the order depends on the graph alone."""
+def topological(roots: Iterable[Node], within: Collection[Node] | None = None) -> list[Node]:
+    """Every node that the roots need (of those `within`, if given), inputs before users; the order depends on the graph alone."""
     order: list[Node] = []
     seen: set[Node] = set()
     for root in roots:
@@ -125,7 +125,7 @@ def topological(roots: Iterable[Node]) -> list[Node]:
         while stack:
             node, rest = stack[-1]
             for x in rest:
-                if x not in seen:
+                if x not in seen and (within is None or x in within):
                     seen.add(x)
                     stack.append((x, iter(x.inputs)))
                     break
@@ -133,16 +133,6 @@ def topological(roots: Iterable[Node]) -> list[Node]:
                 order.append(node)
                 stack.pop()
     return order
-
-
-def users(order: Iterable[Node]) -> dict[Node, list[Node]]:
-    """Who reads each node, within `order`."""
-    result: dict[Node, list[Node]] = {}
-    for node in order:
-        result.setdefault(node, [])
-        for x in dict.fromkeys(node.inputs):
-            result.setdefault(x, []).append(node)
-    return result
 
 
 def rebuild(roots: Iterable[Node], rewrite) -> dict[Node, Node]:

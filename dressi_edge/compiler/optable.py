@@ -42,7 +42,6 @@ class Draw:
     varyings: tuple[tuple[str, str], ...]
     vertices: tuple[int, str]
     depth_range: tuple[float, float] = (0.0, 1.0)
-    writes_depth: bool = False
     topology: str = "triangles"
     depth_test: bool = True
 

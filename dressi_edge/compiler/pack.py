@@ -10,7 +10,7 @@ recompute from what the reader fetches anyway are recomputed instead of stored. 
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from ..cache.errors import PackError
@@ -147,29 +147,10 @@ def _cone(xs: Sequence[Node], stored: set[Node], reads: set[Node], budget: int) 
     return None if len(new) > len(xs) else cone
 
 
-def topological_subset(nodes) -> list[Node]:
+def _ordered(nodes: Iterable[Node]) -> list[Node]:
     """These nodes, inputs first."""
     members = set(nodes)
-    result, done = [], set()
-
-    def visit(n):
-        stack = [(n, iter(n.inputs))]
-        done.add(n)
-        while stack:
-            node, rest = stack[-1]
-            for x in rest:
-                if x in members and x not in done:
-                    done.add(x)
-                    stack.append((x, iter(x.inputs)))
-                    break
-            else:
-                result.append(node)
-                stack.pop()
-
-    for n in sorted(members, key=lambda n: n.serial):
-        if n not in done:
-            visit(n)
-    return result
+    return topological(sorted(members, key=lambda n: n.serial), members)
 
 
 def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
@@ -196,7 +177,7 @@ def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
                     reads.add(x)
                 else:
                     extra += cone
-        members.append(topological_subset([*group, *extra]) if extra else group)
+        members.append(_ordered([*group, *extra]) if extra else group)
     read_elsewhere = set(root_set)
     for nodes in members:
         inside = set(nodes)

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 
 from ...cache.errors import GraphError
-from ..ir import UNIT, Data, Extent, Node, table
+from ..ir import UNIT, Data, Extent, Node, table, vector_type
 from ..optable import Loop, apply, at, op
 from .reduce import tiles_of
 
@@ -26,7 +26,6 @@ def constant(array: np.ndarray, extent: Extent | None = None) -> Node:
     if array.ndim != 3:
         raise GraphError(f"constant of shape {array.shape}; (height, width, channels) is allowed, or use constant_table")
     extent = extent or Extent(array.shape[1], array.shape[0], array.shape[0] * array.shape[1])
-    from ..ir import vector_type
     return apply("constant", data=Data(array.astype(kind)), vtype=vector_type(array.shape[2], kind is np.int32), extent=extent)
 
 
@@ -45,12 +44,12 @@ def constant_table(array: np.ndarray, fill: float = 0) -> Node:
     return constant(to_table(array, fill), table(len(array)))
 
 
-def _rows_of(index: np.ndarray, entries: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rows_of(index: np.ndarray, entries: int) -> tuple[np.ndarray, np.ndarray]:
     """Compressed rows of the transpose of `index`: for each entry the positions that name it, ascending."""
     order = np.argsort(index, kind="stable")
     order = order[index[order] >= 0]
     start = np.searchsorted(index[order], np.arange(entries + 1))
-    return np.stack([start[:-1], start[1:]], 1), order, np.ones(len(order))
+    return np.stack([start[:-1], start[1:]], 1), order
 
 
 @functools.lru_cache(maxsize=64)
@@ -78,7 +77,7 @@ def gather_sum(x: Node, rows: np.ndarray, cols: np.ndarray, weights: np.ndarray 
         raise GraphError(f"gather_sum: column {cols.max()} of {x!r}; 0 to {x.extent.count - 1} are allowed")
     if len(lengths) and lengths.max() > MAX_ROW:
         pieces = -(-lengths // MAX_ROW)
-        first = np.repeat(rows[:, 0] - np.cumsum(pieces) * 0, pieces)
+        first = np.repeat(rows[:, 0], pieces)
         local = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
         start = first + local * MAX_ROW
         end = np.minimum(start + MAX_ROW, np.repeat(rows[:, 1], pieces))
@@ -166,7 +165,7 @@ def _lookup_vjp(g, y, entries, index):
         raise GraphError(f"lookup in {entries!r} by the computed index {index!r} has no gradient; give lookup() the box "
                          "of pixels of each entry, or cut the path with stop_gradient")
     flat = index.attrs["data"].array.reshape(-1)[:index.extent.count]
-    rows, cols, _ = _rows_of(flat, entries.extent.count)
+    rows, cols = _rows_of(flat, entries.extent.count)
     return _laid_out(gather_sum(g, rows, cols), entries.extent), None
 
 

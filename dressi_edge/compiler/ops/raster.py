@@ -114,8 +114,7 @@ _SOFT_VARYINGS = (("int", "code"), ("float", "facing"), ("vec2", "center"), ("ve
 
 
 def _enlarged(fragment: str) -> Draw:
-    return Draw(_ENLARGE, fragment + "gl_FragDepth = depth;\n", _SOFT_VARYINGS, vertices=(6, "face_count"),
-                writes_depth=True)
+    return Draw(_ENLARGE, fragment + "gl_FragDepth = depth;\n", _SOFT_VARYINGS, vertices=(6, "face_count"))
 
 
 def _code(channels):
@@ -164,8 +163,7 @@ op("rasterize_folds", "clip faces folds edge_faces", infer=_code(1), reads="vert
    functions=FUNCTIONS, ref=reference.rasterize_folds, cost=300,
    draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count"),
                depth_range=(0.0, 0.5)),
-          Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(3, "edge_count"),
-               writes_depth=True)),
+          Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(3, "edge_count"))),
    doc="First layer: hard faces, then the enlarged fold and boundary edges; equal to `rasterize`.")
 
 op("fold_segments", "segments clip edges", infer=lambda name, inputs, attrs: ("vec4", inputs[0].extent), reads="own texel texel",
