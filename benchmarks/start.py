@@ -110,7 +110,7 @@ def build(path: Path, targets: Path) -> None:
     from dressi_edge.compiler.cameras import orbit
     from dressi_edge.compiler.functions import total
     from dressi_edge.compiler.render.camera import fixed_views, to_clip
-    from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+    from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
     from dressi_edge.compiler.scene import icosphere
     from dressi_edge.compiler.topology import Topology
 
@@ -120,7 +120,7 @@ def build(path: Path, targets: Path) -> None:
     program = Program()
     vertices = program.state("vertices", Layout("table", "vec3", count=len(mesh.positions)), mesh.positions)
     target = program.input("targets", images)
-    layers = Layers(to_clip(vertices, views), Topology(mesh.faces, len(mesh.positions)), atlas, Softness(2.0), views.near)
+    layers = rasterized(to_clip(vertices, views), Topology(mesh.faces, len(mesh.positions)), atlas, Softness(2.0), views.near)
     error = layers.silhouette() - target
     loss = total(error * error) * (1.0 / (VIEWS * SIZE * SIZE))
     gradient, = gradients(loss, [vertices])

@@ -17,7 +17,7 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe
 from dressi_edge.compiler.functions import apply, dot, lookup, mean, to_float, total
-from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.render.texture import sample_texture
 from dressi_edge.compiler.topology import Topology
 
@@ -68,7 +68,7 @@ def silhouette():
     p, count = Program(), 4
     clip = p.input("clip", Layout("table", "vec4", count=3 * count))
     faces = np.array([(0, 1, 2), (0, 2, 3)])
-    layers = Layers(clip, Topology(faces, count), Atlas(16, 12, 3, 2), Softness(2.0, layers=1), 0.1)
+    layers = rasterized(clip, Topology(faces, count), Atlas(16, 12, 3, 2), Softness(2.0, layers=1), 0.1)
     p.plan("render", {}, {"covered": (layers.stencil, Layout("atlas", "int", 16, 12, 3, 2))})
     quad = np.array([(-1.03, -1.11, 1, 2), (1.17, -1.09, 1, 2), (0.93, 1.21, 1.4, 2.5), (-0.71, 1.07, 1.4, 2.5)])
     views = np.concatenate([quad, quad[::-1] * (0.6, 1.3, 1, 1), quad * (-0.9, 0.7, 1, 1)])

@@ -10,7 +10,7 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.autodiff import gradients
 from dressi_edge.compiler.functions import dot, total
-from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.topology import Topology
 
 SCENE = scenes()["icosphere"]
@@ -23,7 +23,7 @@ def hardsoftras(layers: int) -> Program:
     program = Program()
     clip = program.input("clip", Layout("table", "vec4", count=count), SCENE.clip)
     attributes = program.input("attributes", Layout("table", "vec3", count=count), SCENE.attributes)
-    ras = Layers(clip, Topology(SCENE.faces, count), Atlas(width, height, 1, 1), Softness(3.0, layers=layers), SCENE.near)
+    ras = rasterized(clip, Topology(SCENE.faces, count), Atlas(width, height, 1, 1), Softness(3.0, layers=layers), SCENE.near)
     alpha = ras.silhouette()
     color = ras.color([ras.interpolate(layer, attributes) for layer in ras.layers], 0.0)
     g = gradients(total(alpha) + total(dot(color, color)), [clip, attributes])

@@ -18,7 +18,7 @@ from dressi_edge.compiler.cameras import Camera
 from dressi_edge.compiler.functions import constant, dot, total
 from dressi_edge.compiler.reference import evaluate
 from dressi_edge.compiler.render.camera import fixed_views, posed_views, rotation_rows, to_clip
-from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.topology import Topology
 
 pytest_plugins = ["gpu"]
@@ -39,7 +39,7 @@ def renderer(topology, size, softness, near, views=1, columns=1):
     kind = {"width": w, "height": h, "count": views, "columns": columns}
     by_alpha, by_color = (program.input(name, Layout("atlas", vtype, **kind)) for name, vtype in
                           (("by_alpha", "float"), ("by_color", "vec3")))
-    layers = Layers(clip, topology, atlas, softness, near)
+    layers = rasterized(clip, topology, atlas, softness, near)
     alpha = layers.silhouette()
     color = layers.color([layers.interpolate(layer, attributes) for layer in layers.layers], 0.25)
     g = gradients(total(alpha * by_alpha) + total(dot(color, by_color)), [clip, attributes])
@@ -223,7 +223,7 @@ def pose_problem(layers=2):
     x = program.input("positions", Layout("table", "vec3", count=len(ball)))
     turn, move = program.input("turn", table), program.input("move", table)
     clip = to_clip(x, posed_views(fixed_views(views), turn, move))
-    shape = Layers(clip, Topology(faces, len(ball)), atlas, Softness(2.5, layers=layers), 0.1)
+    shape = rasterized(clip, Topology(faces, len(ball)), atlas, Softness(2.5, layers=layers), 0.1)
     kind = {"width": size[0], "height": size[1], "count": 3, "columns": atlas.columns}
     weights = program.input("weights", Layout("atlas", "float", **kind))
     color = shape.color([shape.interpolate(layer, x) for layer in shape.layers], 0.0)

@@ -22,7 +22,7 @@ from dressi_edge.compiler.ops.arithmetic import _compare
 from dressi_edge.compiler.ops.lookup import to_table
 from dressi_edge.compiler.optable import OPS, elementwise
 from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.topology import Topology
 
 pytest_plugins = ["gpu"]
@@ -350,7 +350,7 @@ def raster(gpu):
     program = Program()
     table = to_table(np.concatenate(clips))
     clip = program.input("clip", Layout("table", "vec4", count=len(ball) * 3))
-    found = topological([Layers(clip, topology, atlas, softness, near).layers[-1].face for softness in
+    found = topological([rasterized(clip, topology, atlas, softness, near).layers[-1].face for softness in
                          (Softness(r), Softness(r, folds=False), Softness(r, layers=2))])
     nodes = {n.op.name: n for n in found if n.op in RASTER}
     assert len(nodes) == len(RASTER)

@@ -14,7 +14,7 @@ from dressi_edge.compiler.ir import table, topological
 from dressi_edge.compiler.ops.lookup import to_table
 from dressi_edge.compiler.optable import OPS
 from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.render.hardsoftras import Atlas, Layers, Softness
+from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.topology import Topology
 
 RADIUS = 3.0
@@ -69,7 +69,7 @@ def layers_of(scene, layers):
     clip, atlas = constant(to_table(scene.clip), table(len(scene.clip))), Atlas(w, h, 1, 1)
     found = {}
     for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, folds=False)):
-        for n in topological([layer.face for layer in Layers(clip, topology, atlas, softness, scene.near).layers]):
+        for n in topological([layer.face for layer in rasterized(clip, topology, atlas, softness, scene.near).layers]):
             if n.op.stage == "raster":
                 found.setdefault(n.op.name, []).append(n)
     *peels, single, folds = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],

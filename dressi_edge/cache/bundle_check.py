@@ -323,7 +323,7 @@ def _stage(where, stage, d) -> None:
 
 
 def _draw(where, draw, stage, subpass, attached, d) -> None:
-    _map(where, draw, ("pipeline", "images", "vertices", "cells", "depth_range"))
+    _map(where, draw, ("pipeline", "images", "vertices", "cells", "depth_range", "count"))
     pipeline = d["pipelines"][_number(f"{where}.pipeline", draw["pipeline"], 0, len(d["pipelines"]) - 1)]
     if pipeline["pass"] != stage["pass"] or pipeline["subpass"] != subpass:
         raise BundleError(f"{where}.pipeline {draw['pipeline']} is made for another pass")
@@ -342,6 +342,14 @@ def _draw(where, draw, stage, subpass, attached, d) -> None:
             _number(f"{at}[{j}]", x, 0 if j < 2 else 1, MAX_SIDE)
         if cell[0] + cell[2] > stage["width"] or cell[1] + cell[3] > stage["height"]:
             raise BundleError(f"{at} leaves the stage of {stage['width']} x {stage['height']}")
+    if _number(f"{where}.count", draw["count"], -1, 2 * len(d["images"]) - 1) >= 0:
+        image = _ref(f"{where}.count", draw["count"], d)
+        if image["format"] != v.FORMATS["R32_SINT"] or not image["usage"] & v.USAGE_TRANSFER_SRC:
+            raise BundleError(f"{where}.count: image {draw['count'] // 2} is not R32_SINT with usage {v.USAGE_TRANSFER_SRC}")
+        if draw["count"] in attached:
+            raise BundleError(f"{where}.count: image {draw['count'] // 2} is written by the same stage")
+        if len(draw["cells"]) != 1:
+            _fail(f"{where}.count", draw["count"], "-1, or a draw of one cell")
     low_high = _list(f"{where}.depth_range", draw["depth_range"], 2)
     if any(type(x) is not float or not 0 <= x <= 1 for x in low_high):
         _fail(f"{where}.depth_range", low_high, "two floats from 0 to 1 are needed")
@@ -365,7 +373,7 @@ def _dataflow(d) -> None:
             for n, ref in enumerate(stage["attachments"]):
                 if ref in given or ref // 2 in value_of and ref not in owned:
                     raise BundleError(f"{where}.attachments[{n}]: image {ref // 2} is not for this plan to write")
-            sampled = {ref for draws in stage["subpasses"] for draw in draws for ref in draw["images"]} - attached
+            sampled = {ref for draws in stage["subpasses"] for draw in draws for ref in (*draw["images"], draw["count"])} - attached - {-1}
             for ref in sorted(sampled):
                 if ref in given:
                     if ref // 2 in value_of and value_of[ref // 2] not in reads:

@@ -13,7 +13,7 @@ from ..cache.profile import Profile
 from .guard import Guard
 from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
-from .optable import FILTERED, OWN, TILE, VERTEX
+from .optable import COUNT, FILTERED, OWN, TILE, TILE_LIST, VERTEX
 from .pack import Substage
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
@@ -27,11 +27,11 @@ FULLSCREEN = _HEAD + """void main() {
 """
 
 
-TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+TILES = """int tile = {which}, corner = gl_VertexIndex % 6;
 ivec2 at = ivec2(tile % {across}, tile / {across});
 vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
 vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);
-gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+gl_Position = {drawn} ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 """
 
 
@@ -48,7 +48,8 @@ class Binding:
 
 @dataclass(frozen=True)
 class DrawCode:
-    """One draw of a substage. `vertices` invocations; `views` instances over the atlas cells (`cell` = width, height, columns)."""
+    """One draw of a substage. `vertices` invocations; `views` instances over the atlas cells (`cell` = width, height, columns).
+    `count`: the node whose last texel says how many of the vertices there are to draw."""
 
     vertex: str
     fragment: str
@@ -58,6 +59,7 @@ class DrawCode:
     depth_range: tuple[float, float] = (0.0, 1.0)
     depth: bool = False
     topology: str = "triangles"
+    count: Node | None = None
 
 
 def _mark(text: str, names: dict) -> str:
@@ -77,6 +79,7 @@ class _Emitter:
     def __init__(self, stage: Substage, profile: Profile, guard: Guard | None, inner: Collection[Node] = ()):
         self.stage, self.profile = stage, profile
         self.tiled = guard.node if guard and guard.tile else None
+        chooser = guard.listed[0] if self.tiled and guard.listed else self.tiled  # what the vertex shader reads to choose tiles
         self.bindings: list[Binding] = []
         self.slots: dict[tuple[Node, str, str], int] = {}
         vertex = {x for x, m in stage.reads if m == VERTEX}
@@ -84,14 +87,15 @@ class _Emitter:
         for node in stage.nodes:
             for k, x in enumerate(node.inputs):
                 mode = node.op.read(k)
-                if x.op.stage == "inline" or (mode == OWN and x in stage.nodes):
+                if x.op.stage == "inline" or (mode == OWN and x in stage.nodes) or mode == COUNT:
+                    continue
+                if (mode == TILE_LIST and x is not chooser) or (mode == TILE and x is self.tiled is not chooser):
                     continue
                 sampler = mode == FILTERED and hardware_filter(x, profile)
                 key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, ATTACHMENT if x in inner else SAMPLED, "")
                 if key not in self.slots:
                     self.slots[key] = len(self.bindings)
-                    tiled = x is self.tiled
-                    self.bindings.append(Binding(x, key[1], x in vertex or tiled, x in fragment and not tiled, key[2]))
+                    self.bindings.append(Binding(x, key[1], x in vertex or x is chooser, x in fragment and x is not chooser, key[2]))
         self.values: dict[Node, str] = {}
         self.own: dict[int, None] = {}
 
@@ -135,6 +139,8 @@ class _Emitter:
                 names[param] = f"({text})" if text[0] == "-" else text
             elif mode == OWN:
                 names[param] = self.value(x)
+            elif mode in (COUNT, TILE_LIST):
+                continue
             elif mode == TILE:
                 width, height = node.attrs["tile"]
                 names[param] = "1" if x is self.tiled else f"T{self.slots[x, SAMPLED, '']}(pixel / ivec2({width}, {height}))"
@@ -227,11 +233,16 @@ def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
         fragment = e.fragment(e.pixel_body(guard), [])
         if guard is None or guard.tile is None:
             return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
-        slot, tiles = e.slots[guard.node, SAMPLED, ""], guard.node.extent
-        body = _mark(TILES, {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width,
-                             "h": stage.extent.height, "tiles": f"T{slot}"})
-        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", body, "}", ""])
-        return [DrawCode(vertex, fragment, 6 * tiles.count)], e.bindings
+        tiles = guard.node.extent
+        marks = {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width, "h": stage.extent.height}
+        if guard.listed:
+            slot = e.slots[guard.listed[0], SAMPLED, ""]
+            marks |= {"which": f"E{slot}(gl_VertexIndex / 6)", "drawn": "tile >= 0"}
+        else:
+            slot = e.slots[guard.node, SAMPLED, ""]
+            marks |= {"which": "gl_VertexIndex / 6", "drawn": f"T{slot}(at) != 0"}
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", _mark(TILES, marks), "}", ""])
+        return [DrawCode(vertex, fragment, 6 * tiles.count, count=guard.listed and guard.listed[1])], e.bindings
     node = stage.nodes[0]
     e.values[node] = "v0"
     attrs, draws = node.attrs, []
@@ -244,7 +255,8 @@ def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
         body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
         body = e.loads() + body
         factor, items = draw.vertices
-        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], attrs["views"],
-                              (attrs["cell_w"], attrs["cell_h"], attrs["columns"]), draw.depth_range, draw.depth_test,
-                              draw.topology))
+        over = {"count": node.inputs[node.op.params.index(draw.count)]} if draw.count else {
+            "views": attrs["views"], "cell": (attrs["cell_w"], attrs["cell_h"], attrs["columns"])}
+        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], depth_range=draw.depth_range, depth=draw.depth_test,
+                              topology=draw.topology, **over))
     return draws, e.bindings

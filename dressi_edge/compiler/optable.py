@@ -8,7 +8,8 @@ elsewhere two functions: `{name}(ivec2)` the texel, `{name_at}(index)` the entry
 `{i}` the own texel's row-major index and `{p}` its ivec2. A snippet may be a function of the node where types decide.
 
 An input read by tile is a coarser image, one texel for each `attrs["tile"]` = (width, height) texels of the result: where it is zero
-the op must not matter (`absent`), and whole tiles are left undrawn.
+the op must not matter (`absent`), and whole tiles are left undrawn. Inputs read by tile_list and count are the list of the tiles that are
+not zero and its running counts (`ops/compact.py`): with them the others cost nothing. A raster op's count is that of its `Draw.count`.
 """
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 from ..cache.errors import GraphError
 from .ir import UNIT, Extent, Node, intern, is_int, vector_type
 
-OWN, TEXEL, FILTERED, VERTEX, TILE = "own", "texel", "filtered", "vertex", "tile"
+OWN, TEXEL, FILTERED, VERTEX, TILE, TILE_LIST, COUNT = "own", "texel", "filtered", "vertex", "tile", "tile_list", "count"
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Loop:
 class Draw:
     """One draw of a raster op, an instance a view: `vertices = (6, "face_count")` is six invocations a face: `ops/raster.py`.
 
-    `topology`: "triangles", or "points" (the vertex snippet sets gl_PointSize). Without `depth_test` the last primitive wins.
+    `topology`: "triangles", or "points" (the vertex snippet sets gl_PointSize). Without `depth_test` the last primitive wins. `count`: the
+    input whose last texel is how many vertices there are to draw, over the whole image in one instance; the rest must come out empty.
     """
 
     vertex: str
@@ -44,6 +46,7 @@ class Draw:
     depth_range: tuple[float, float] = (0.0, 1.0)
     topology: str = "triangles"
     depth_test: bool = True
+    count: str = ""
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Op:
     stage: str = "pixel"
     loop: Loop | None = None
     draws: tuple[Draw, ...] = ()
+    clear: int = -1  # of a raster op: where nothing is drawn
     cost: int = 1
     functions: str = ""
     absorbs: tuple[int, ...] = ()  # inputs that, when zero, make the result zero

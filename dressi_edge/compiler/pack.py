@@ -17,7 +17,7 @@ from ..cache.errors import PackError
 from ..cache.profile import Profile
 from .ir import UNIT, Extent, Node, topological
 from .ops import lookup as _lookup  # noqa: F401  (fills the op table)
-from .optable import OWN, VERTEX
+from .optable import COUNT, OWN, TILE_LIST, VERTEX
 
 RECOMPUTE_COST = 24  # work a value may cost to be computed again
 FORMAT_BITS = {"float": 32, "vec2": 64, "vec3": 128, "vec4": 128, "int": 32, "ivec2": 64, "ivec3": 128, "ivec4": 128}
@@ -209,8 +209,8 @@ def pack_naive(roots: Sequence[Node], profile: Profile) -> list[Substage]:
 
 def excess(s: Substage, profile: Profile) -> list[str]:
     """What breaks a limit, one line each."""
-    sampled = {x for x, m in s.reads}
-    vertex = {x for x, m in s.reads if m == VERTEX}
+    sampled = {x for x, m in s.reads if m != COUNT}
+    vertex = {x for x, m in s.reads if m in (VERTEX, TILE_LIST)}
     counts = {
         "maxColorAttachments": len(s.outputs), "maxFragmentOutputAttachments": len(s.outputs),
         "maxFragmentCombinedOutputResources": len(s.outputs),

@@ -188,7 +188,7 @@ class Assembler:
             colors = []
             inner = merged_reads(stage.substages[:number_in_pass], s)
             guard = find_guard(s)
-            clears = guard.constants if guard else (-1 if s.raster else None,) * len(s.outputs)
+            clears = guard.constants if guard else (s.nodes[0].op.clear if s.raster else None,) * len(s.outputs)
             for n, clear in zip(s.outputs, clears):
                 ref = self._ref(n, place)
                 self.images[ref // 2]["usage"] |= v.USAGE_COLOR
@@ -205,6 +205,10 @@ class Assembler:
                 else:
                     self.images[ref // 2]["usage"] |= v.USAGE_SAMPLED
                     read_refs.add(ref)
+            for d in draws:
+                if d.count is not None:
+                    read_refs.add(self._ref(d.count, place))
+                    self.images[self._ref(d.count, place) // 2]["usage"] |= v.USAGE_TRANSFER_SRC
             if any(d.depth for d in draws):
                 image = self._depth(stage)
                 attachments[2 * image] = {"format": 0, "load": v.LOAD_CLEAR, "store": v.STORE_DONT_CARE, "clear": 1}
@@ -215,7 +219,7 @@ class Assembler:
         number = self.passes.number(key)
         wait = hazards.stage(read_refs, set(attachments))
         return {"pass": number, "width": stage.extent.width, "height": stage.extent.height, "attachments": list(attachments),
-                "wait": wait, "subpasses": [[self._draw(d, bindings, refs, number, k, stage) for d in draws]
+                "wait": wait, "subpasses": [[self._draw(d, bindings, refs, place, number, k, stage) for d in draws]
                                             for k, (s, draws, bindings, refs) in enumerate(subpasses)]}
 
     def _depth(self, stage: Stage) -> int:
@@ -226,7 +230,7 @@ class Assembler:
             self.free[key] = [image]
         return self.free[key][0]
 
-    def _draw(self, draw: emit.DrawCode, bindings: Sequence[emit.Binding], refs, number, subpass, stage: Stage) -> dict:
+    def _draw(self, draw: emit.DrawCode, bindings: Sequence[emit.Binding], refs, place, number, subpass, stage: Stage) -> dict:
         kinds = []
         for b in bindings:
             if b.kind == emit.ATTACHMENT:
@@ -246,8 +250,8 @@ class Assembler:
             cells = [[k % columns * w, k // columns * h, w, h] for k in range(draw.views)]
         else:
             cells = [[0, 0, stage.extent.width, stage.extent.height]]
-        return {"pipeline": pipeline, "images": refs, "vertices": draw.vertices, "cells": cells,
-                "depth_range": list(draw.depth_range)}
+        return {"pipeline": pipeline, "images": refs, "vertices": draw.vertices, "cells": cells, "depth_range": list(draw.depth_range),
+                "count": -1 if draw.count is None else self._ref(draw.count, place)}
 
 
 class _Hazards:

@@ -37,6 +37,9 @@ RULES = {
     "neg": lambda x, n: x[0].inputs[0] if x[0].op.name == "neg" else None,
     "stop_gradient": lambda x, n: x[0],
     "broadcast": lambda x, n: _as(x[0], n),
+    "lookup_boxed": lambda x, n: apply("lookup", *x[:2]),  # what else these three take is for the transpose alone
+    "lookup_near": lambda x, n: apply("lookup", *x[:2]),
+    "lookup_unique": lambda x, n: apply("lookup", *x[:2]),
     "swizzle": lambda x, n: _swizzle(x[0], n),
     "shift_right": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,
 }

@@ -4,9 +4,13 @@ In: the plan's record and the device objects. Out: a `Recording`, submitted any 
 """
 from __future__ import annotations
 
-from . import vk
+import ctypes
+import struct
 
-WAIT_STAGES = (vk.VK_PIPELINE_STAGE_VERTEX_SHADER_BIT | vk.VK_PIPELINE_STAGE_FRAGMENT_SHADER_BIT
+from . import vk
+from .memory import find_memory
+
+WAIT_STAGES = (vk.VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT | vk.VK_PIPELINE_STAGE_VERTEX_SHADER_BIT | vk.VK_PIPELINE_STAGE_FRAGMENT_SHADER_BIT
                | vk.VK_PIPELINE_STAGE_EARLY_FRAGMENT_TESTS_BIT | vk.VK_PIPELINE_STAGE_LATE_FRAGMENT_TESTS_BIT
                | vk.VK_PIPELINE_STAGE_COLOR_ATTACHMENT_OUTPUT_BIT | vk.VK_PIPELINE_STAGE_TRANSFER_BIT)
 WRITES = (vk.VK_ACCESS_COLOR_ATTACHMENT_WRITE_BIT | vk.VK_ACCESS_DEPTH_STENCIL_ATTACHMENT_WRITE_BIT | vk.VK_ACCESS_TRANSFER_WRITE_BIT)
@@ -20,6 +24,44 @@ def wait(commands: int) -> None:
         vk.VkMemoryBarrier(srcAccessMask=WRITES, dstAccessMask=READS | WRITES)])
 
 
+class _Counts:
+    """A buffer of one draw command for each draw whose number of vertices is found on the device."""
+
+    SIZE = 16  # VkDrawIndirectCommand: vertices, instances, first vertex, first instance
+
+    def __init__(self, device, draws: int):
+        self.device, self.used = device, 0
+        self.buffer = vk.CreateBuffer(device.device, vk.VkBufferCreateInfo(
+            size=self.SIZE * draws, usage=vk.VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT | vk.VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+            sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE))
+        self.memory = 0
+        try:
+            q = vk.GetBufferMemoryRequirements(device.device, self.buffer)
+            kind = find_memory(device, q.memoryTypeBits, vk.VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | vk.VK_MEMORY_PROPERTY_HOST_COHERENT_BIT)
+            self.memory = vk.AllocateMemory(device.device, vk.VkMemoryAllocateInfo(allocationSize=q.size, memoryTypeIndex=kind))
+            vk.BindBufferMemory(device.device, self.buffer, self.memory, 0)
+            address = vk.MapMemory(device.device, self.memory, 0, self.SIZE * draws)
+            ctypes.memmove(address, struct.pack("<4I", 0, 1, 0, 0) * draws, self.SIZE * draws)
+            vk.UnmapMemory(device.device, self.memory)
+        except BaseException:
+            self.close()
+            raise
+
+    def copy(self, commands: int, image: int, record: dict) -> int:
+        """Copy the last texel of an image to the next command; its offset."""
+        offset = self.SIZE * self.used
+        self.used += 1
+        last = (record["width"] - 1, record["height"] - 1, 0)
+        vk.CmdCopyImageToBuffer(commands, image, vk.VK_IMAGE_LAYOUT_GENERAL, self.buffer, [vk.VkBufferImageCopy(
+            offset, 0, 0, (vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1), last, (1, 1, 1))])
+        return offset
+
+    def close(self) -> None:
+        vk.DestroyBuffer(self.device.device, self.buffer)
+        if self.memory:
+            vk.FreeMemory(self.device.device, self.memory)
+
+
 class Recording:
     """A recorded plan. `timestamps`: a query pool to write 1 + stages timestamps to, or 0."""
 
@@ -27,6 +69,7 @@ class Recording:
         self.device, self.d, self.images, self.pipelines, self.parity = device, bundle.description, images, pipelines, parity
         self.framebuffers: list[int] = []
         self.descriptor_pool = 0
+        self.counts: _Counts | None = None
         self.pool = pool
         self.commands = 0
         try:
@@ -52,6 +95,9 @@ class Recording:
                 counts[kind] = counts.get(kind, 0) + 1
         self.descriptor_pool = vk.CreateDescriptorPool(device, vk.VkDescriptorPoolCreateInfo(
             maxSets=max(1, len(draws)), pPoolSizes=[(kind, n) for kind, n in counts.items()] or [(2, 1)]))
+        counted = sum(draw["count"] >= 0 for draw in draws)
+        if counted:
+            self.counts = _Counts(self.device, counted)
         self.commands = vk.AllocateCommandBuffers(device, vk.VkCommandBufferAllocateInfo(
             commandPool=self.pool, level=vk.VK_COMMAND_BUFFER_LEVEL_PRIMARY, commandBufferCount=1))[0]
         vk.BeginCommandBuffer(self.commands, vk.VkCommandBufferBeginInfo(flags=vk.VK_COMMAND_BUFFER_USAGE_SIMULTANEOUS_USE_BIT))
@@ -73,6 +119,7 @@ class Recording:
         self.framebuffers.append(framebuffer)
         if stage["wait"]:
             wait(c)
+        offsets = self._copy_counts(stage)
         clears = []
         for a in self.d["passes"][stage["pass"]]["attachments"]:
             value = vk.VkClearValue()
@@ -89,10 +136,22 @@ class Recording:
             if k:
                 vk.CmdNextSubpass(c, vk.VK_SUBPASS_CONTENTS_INLINE)
             for draw in draws:
-                self._draw(draw)
+                self._draw(draw, offsets)
         vk.CmdEndRenderPass(c)
 
-    def _draw(self, draw: dict) -> None:
+    def _copy_counts(self, stage: dict) -> list[int]:
+        """Where the commands of this stage's counted draws are, in order, each filled from its image."""
+        offsets = []
+        for draw in (draw for draws in stage["subpasses"] for draw in draws if draw["count"] >= 0):
+            image, slot = self._slot(draw["count"])
+            offsets.append(self.counts.copy(self.commands, self.images.handles[image][slot], self.d["images"][image]))
+        if offsets:
+            copied = vk.VkMemoryBarrier(srcAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, dstAccessMask=vk.VK_ACCESS_INDIRECT_COMMAND_READ_BIT)
+            vk.CmdPipelineBarrier(self.commands, vk.VK_PIPELINE_STAGE_TRANSFER_BIT, vk.VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, 0,
+                                  pMemoryBarriers=[copied])
+        return offsets
+
+    def _draw(self, draw: dict, offsets: list[int]) -> None:
         c, number = self.commands, draw["pipeline"]
         vk.CmdBindPipeline(c, vk.VK_PIPELINE_BIND_POINT_GRAPHICS, self.pipelines.pipelines[number])
         if draw["images"]:
@@ -101,7 +160,10 @@ class Recording:
         for view, (x, y, w, h) in enumerate(draw["cells"]):
             vk.CmdSetViewport(c, 0, [vk.VkViewport(x, y, w, h, low, high)])
             vk.CmdSetScissor(c, 0, [vk.VkRect2D((x, y), (w, h))])
-            vk.CmdDraw(c, draw["vertices"], 1, 0, view)
+            if draw["count"] >= 0:
+                vk.CmdDrawIndirect(c, self.counts.buffer, offsets.pop(0), 1, _Counts.SIZE)
+            else:
+                vk.CmdDraw(c, draw["vertices"], 1, 0, view)
 
     def _set(self, draw: dict) -> int:
         device, number = self.device.device, draw["pipeline"]
@@ -119,6 +181,8 @@ class Recording:
             vk.FreeCommandBuffers(device, self.pool, [self.commands])
         if self.descriptor_pool:
             vk.DestroyDescriptorPool(device, self.descriptor_pool)
+        if self.counts:
+            self.counts.close()
         for framebuffer in self.framebuffers:
             vk.DestroyFramebuffer(device, framebuffer)
-        self.commands, self.descriptor_pool, self.framebuffers = 0, 0, []
+        self.commands, self.descriptor_pool, self.framebuffers, self.counts = 0, 0, [], None

@@ -152,7 +152,7 @@ def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> 
     return apply("lookup", entries, index) if box is None else apply("lookup_boxed", entries, index, box)
 
 
-def _lookup_ref(entries, index, box=None):
+def _lookup_ref(entries, index, *_):
     flat = entries.reshape(-1, entries.shape[2])
     return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
 
@@ -184,7 +184,7 @@ def _boxed_sample(rng):
     return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
 
 
-def _segment_ref(values, index, box, occupied):
+def _segment_ref(values, index, box, *_, **attrs):
     out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
     ys, xs = np.nonzero(index[..., 0] >= 0)
     entry = index[ys, xs, 0]
@@ -197,23 +197,23 @@ def _segment_ref(values, index, box, occupied):
 op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8,
    glsl=_LOOKUP, sample=_boxed_sample,
    vjp=lambda g, y, entries, index, box: (
-       apply("segment_sum", g, index, box, apply("occupied", index)), None, None),
+       apply("segment_sum", g, index, box, apply("occupied", index, side=BIN)), None, None),
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
-def _occupied_ref(index):
+def _occupied_ref(index, side):
     h, w, _ = index.shape
-    padded = np.full((-(-h // BIN) * BIN, -(-w // BIN) * BIN), -1)
+    padded = np.full((-(-h // side) * side, -(-w // side) * side), -1)
     padded[:h, :w] = index[..., 0]
-    return (padded.reshape(padded.shape[0] // BIN, BIN, -1, BIN).max((1, 3)) >= 0).astype(np.int64)[..., None]
+    return (padded.reshape(padded.shape[0] // side, side, -1, side).max((1, 3)) >= 0).astype(np.int64)[..., None]
 
 
-op("occupied", "index", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, BIN, BIN)), reads="texel", ref=_occupied_ref,
-   cost=64, glsl=f"""{{ ivec2 lo_ = {{p}} * {BIN}, hi_ = min(lo_ + {BIN}, ivec2({{index_w}}, {{index_h}}));
+op("occupied", "index", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["side"], attrs["side"])), reads="texel",
+   ref=_occupied_ref, cost=64, glsl="""{ ivec2 lo_ = {p} * {side}, hi_ = min(lo_ + {side}, ivec2({index_w}, {index_h}));
     int best_ = -1;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {{index}}(ivec2(a_, b_)));
-    {{y}} = best_ >= 0 ? 1 : 0; }}""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {}),
-   doc="1 for each bin of 8 x 8 pixels in which some index is not negative.")
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {index}(ivec2(a_, b_)));
+    {y} = best_ >= 0 ? 1 : 0; }""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"side": 8}),
+   doc="1 for each square of `side` pixels in which some index is not negative.")
 
 # Bin by bin, the empty ones as loops of no turns: machines that cannot branch around a body still leave a loop early.
 _BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"
@@ -228,6 +228,42 @@ op("segment_sum", "values index box occupied", infer=at(2), reads="texel texel o
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
    doc="Transpose of lookup_boxed: for each entry the sum, over the occupied bins of its box, of the pixels that name it.")
+
+# Rows of a capsule: the slab within `reach` of the segment's line, one pixel wider; the whole box where the line is nearly level.
+_CAPSULE = """vec2 d_ = {segment}.zw - {segment}.xy;
+bool level_ = abs(d_.y) < 0.25;
+float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float({reach}) * length(d_) / abs(d_.y) + 1.0;
+for (int b_ = {box}.y; b_ < {box}.w; ++b_) {
+float at_ = {center}.x + {segment}.x + (float(b_) + 0.5 - {center}.y - {segment}.y) * slope_ - 0.5;
+ivec2 row_ = ivec2(clamp(vec2(ceil(at_ - wide_), floor(at_ + wide_) + 1.0), vec2({box}.xx), vec2({box}.zz)));
+for (int a_ = row_.x; a_ < row_.y; ++a_) { ivec2 q_ = ivec2(a_, b_); if ({index}(q_) == {i}) {"""
+
+
+def _capsules(rng):
+    """Pixels that name the nearest of some segments, within 2; arguments after the values, with no name out of reach."""
+    ends = np.array([(-4, -3, 3, 2), (2, 3, 2, -3), (-5, 4, 4, 4.1), (-1, 3, -3, -3)], float)
+    ys, xs = np.mgrid[:10, :12] + 0.5 - np.array([5.0, 6.0])[:, None, None]
+    p = np.stack([xs, ys], -1)[..., None, :]
+    d = ends[:, 2:] - ends[:, :2]
+    t = np.clip(((p - ends[:, :2]) * d).sum(-1) / (d * d).sum(-1), 0, 1)
+    far = np.linalg.norm(ends[:, :2] + t[..., None] * d - p, axis=-1)
+    index = np.where(far.min(-1) <= 2, far.argmin(-1), -1)[..., None]
+    box = np.array([np.concatenate([np.floor(np.minimum(e[:2], e[2:]) + (4, 3)), np.ceil(np.maximum(e[:2], e[2:]) + (8, 7))])
+                    for e in ends]).clip(0, [12, 10, 12, 10]).astype(int)
+    return index, to_table(box), to_table(ends), to_table(np.tile([6.0, 5.0], (4, 1)))
+
+
+op("lookup_near", "entries index box segment center", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel texel",
+   ref=_lookup_ref, cost=8, glsl=_LOOKUP,
+   vjp=lambda g, y, entries, index, box, segment, center, reach: (
+       apply("capsule_sum", g, index, box, segment, center, reach=reach), None, None, None, None),
+   sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0}),
+   doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one they name.")
+op("capsule_sum", "values index box segment center", infer=at(2), reads="texel texel own own own", ref=_segment_ref, cost=300,
+   vjp=lambda g, y, values, index, *_, **attrs: (apply("lookup", g, index), None, None, None, None),
+   loop=Loop(_CAPSULE, "{y} += {values}(q_);", "} } }"),
+   sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0}),
+   doc="Transpose of lookup_near: for each segment the sum over the pixels of its box and within `reach` that name it.")
 
 op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,
    ref=lambda source, xy: source[np.clip(xy[..., 1], 0, source.shape[0] - 1), np.clip(xy[..., 0], 0, source.shape[1] - 1)],

@@ -7,8 +7,11 @@ pixel is the code `2 (view F + face) + hard`, or -1; peels add the bits of the s
 """
 from __future__ import annotations
 
+import numpy as np
+
 from ..optable import Draw, op
 from . import raster_reference as reference
+from .reduce import spread
 
 FUNCTIONS = """
 float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
@@ -131,40 +134,72 @@ op("rasterize_peel", "clip faces previous", infer=_code(2), reads="vertex vertex
    draws=(_enlarged(_SHIFT + _PEELED + "{y} = ivec2(found, floatBitsToInt(depth));\n"),), ref=reference.rasterize_peel, cost=1000,
    doc="The layer behind `previous` (depth peeling).")
 
-# For one layer a pixel outside all hard faces has its nearest face edge on a fold or boundary edge: the hard pass needs no
-# fragment work and only those edges are enlarged. Equal to `rasterize` (docs/design.md).
+# Outline distance needs which face is in front, without fragment work, and the nearest fold edge of each pixel, whatever is in front.
 _HARD = _PROLOGUE + """
 int f = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
 ivec3 t = {faces_at}(f);
 gl_Position = {clip_at}(view * {vertices} + (corner == 0 ? t.x : corner == 1 ? t.y : t.z));
-code = 2 * (view * {face_count} + f) + 1;
+code = view * {face_count} + f;
 """
-_FOLD = _PROLOGUE + """
-int edge = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
-segment = {folds_at}(view * {edge_count} + edge);
-if (segment.x < 1e8) {  // one triangle around the box of the segment: few edges are folds, so vertices cost more than pixels
-    code = 2 * (view * {face_count} + {edge_faces_at}(edge).x);
-    float reach = float({radius}) + 0.02;
+op("rasterize_hard", "clip faces", infer=_code(1), reads="vertex vertex", stage="raster", ref=reference.rasterize_hard, cost=200,
+   draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count")),),
+   doc="The front face of each pixel, view F + face; -1 where there is none. Fixed-function depth.")
+
+# A list of segments over the whole atlas: one triangle around each, since there are few and vertices cost more than pixels.
+_AROUND = """
+int slot = gl_VertexIndex / 3, corner = gl_VertexIndex % 3, entry = {entries_at}(slot);
+gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+segment = vec4(0.0);
+center = vec2(0.0);
+code = slot;
+if (entry >= 0) {
+    int view = entry / {edge_count};
+    vec2 cell = vec2(float({cell_w}), float({cell_h}));
+    center = (vec2(view % {columns}, view / {columns}) + 0.5) * cell;
+    segment = {segments_at}(slot);
+    float grow = float({radius}) + 0.02;
     vec2 d = segment.zw - segment.xy;
     float l = length(d);
     d = l < 1e-20 ? vec2(1.0, 0.0) : d / l;
-    vec2 n = vec2(-d.y, d.x) * reach;
-    vec2 o = segment.xy - d * reach - n + (corner == 1 ? d * (2.0 * l + 4.0 * reach) : corner == 2 ? 4.0 * n : vec2(0.0));
-    gl_Position = vec4(o / half_cell.xy, 0.0, 1.0);
+    vec2 n = vec2(-d.y, d.x) * grow;
+    vec2 o = center + segment.xy - d * grow - n + (corner == 1 ? d * (2.0 * l + 4.0 * grow) : corner == 2 ? 4.0 * n : vec2(0.0));
+    gl_Position = vec4(o / (0.5 * vec2({w}, {h})) - 1.0, 0.0, 1.0);
 }
 """
-_FOLD_FRAGMENT = """
-float d = sqrt(segment_distance2(gl_FragCoord.xy - center, segment));
-if (d > float({radius})) discard;
-gl_FragDepth = 0.5 + 0.4999 * d / float({radius});
+_SEGMENT_VARYINGS = (("int", "code"), ("vec2", "center"), ("vec4", "segment"))
+_NEAREST = """
+vec2 q = gl_FragCoord.xy - center;
+float d = sqrt(segment_distance2(q, segment));
+if (d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h})) discard;
+gl_FragDepth = 0.9999 * d / float({radius});
 {y} = code;
 """
-op("rasterize_folds", "clip faces folds edge_faces", infer=_code(1), reads="vertex vertex vertex vertex", stage="raster",
-   functions=FUNCTIONS, ref=reference.rasterize_folds, cost=300,
-   draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count"),
-               depth_range=(0.0, 0.5)),
-          Draw(_FOLD, _FOLD_FRAGMENT, (("int", "code"), ("vec2", "center"), ("vec4", "segment")), vertices=(3, "edge_count"))),
-   doc="First layer: hard faces, then the enlarged fold and boundary edges; equal to `rasterize`.")
+op("rasterize_segments", "segments entries count", infer=_code(1), reads="vertex vertex count", stage="raster", functions=FUNCTIONS,
+   ref=reference.rasterize_segments, cost=200,
+   draws=(Draw(_AROUND, _NEAREST, _SEGMENT_VARYINGS,
+               vertices=(3, "slots"), count="count"),),
+   doc="For each pixel the slot of the nearest listed segment within `radius` in its cell, the first of equals; -1 where there is none.")
+
+op("within_tiles", "code tiles list count", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absent=((1, -1),),
+   reads="own tile tile_list count", ref=lambda code, tiles, list, count, tile: np.where(
+       spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
+   glsl="{y} = {tiles} != 0 ? {code} : -1;", cost=40,
+   sample=lambda rng: ([rng.integers(-1, 9, (20, 35, 1)), rng.integers(0, 2, (2, 3, 1)), np.zeros((2, 3, 1), np.int64),
+                        np.zeros((1, 1, 1), np.int64)], {"tile": (16, 16)}),
+   doc="A code inside the tiles that are marked, -1 outside: what depends on it is drawn for the listed tiles alone.")
+
+op("outline", "code slot segment position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absorbs_negative=(1,),
+   reads="texel own own own", ref=reference.outline, cost=20, functions=FUNCTIONS,
+   glsl="""{y} = 0;
+{ vec2 d_ = {segment}.zw - {segment}.xy, o_ = {position} - {segment}.xy;
+  vec2 foot_ = {segment}.xy + clamp(dot(o_, d_) / max(dot(d_, d_), 1e-20), 0.0, 1.0) * d_, across_ = foot_ - {position};
+  ivec2 cell_ = ivec2({cell_w}, {cell_h});
+  ivec2 at_ = ivec2(floor(foot_ + across_ * inversesqrt(max(dot(across_, across_), 1e-20)) + 0.5 * vec2(cell_)));
+  at_ = {p} / cell_ * cell_ + clamp(at_, ivec2(0), cell_ - 1);
+  {y} = {slot} >= 0 && ({code}({p}) < 0 || {code}(at_) < 0) ? 1 : 0; }""",
+   sample=lambda rng: ([np.where(np.add.outer(np.arange(12), np.arange(14)) > 12, 1, -1)[..., None], rng.integers(-1, 3, (12, 14, 1)),
+                        rng.uniform(-3, 3, (12, 14, 4)), rng.uniform(-3, 3, (12, 14, 2))], {"cell_w": 7, "cell_h": 6}),
+   doc="1 where a pixel's segment is outline: the pixel is not covered, or the one a pixel beyond the segment's nearest point is not.")
 
 op("fold_segments", "segments clip edges", infer=lambda name, inputs, attrs: ("vec4", inputs[0].extent), reads="own texel texel",
    ref=reference.fold_segments, cost=40,

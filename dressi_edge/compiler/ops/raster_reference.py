@@ -75,8 +75,45 @@ def rasterize(clip, faces, **attrs):
     return _layer(None, clip, faces, **attrs)[0][..., None]
 
 
-def rasterize_folds(clip, faces, folds, edge_faces, edge_count, **attrs):
-    return rasterize(clip, faces, **attrs)
+def rasterize_hard(clip, faces, extent, **attrs):
+    code = np.full((extent.height, extent.width), -1, np.int64)
+    depth = np.ones((extent.height, extent.width))
+    for ys, xs, c, d in _fragments(clip, faces, extent, **attrs, radius=0.01):
+        nearer = (c & 1 == 1) & (d < depth[ys, xs])
+        code[ys[nearer], xs[nearer]], depth[ys[nearer], xs[nearer]] = c[nearer] >> 1, d[nearer]
+    return code[..., None]
+
+
+def rasterize_segments(segments, entries, count, extent, radius, edge_count, cell_w, cell_h, columns, slots):
+    code = np.full((extent.height, extent.width), -1, np.int64)
+    nearest = np.full((extent.height, extent.width), np.inf)
+    half = np.array([cell_w / 2, cell_h / 2])
+    for slot, entry in enumerate(entries.reshape(-1)[:int(count.reshape(-1)[-1]) // 3]):
+        view, s = entry // edge_count, segments.reshape(-1, 4)[slot]
+        corner, ends = np.array([view % columns * cell_w, view // columns * cell_h]), s.reshape(2, 2)
+        lo = np.clip(np.floor(ends.min(0) - radius - 1 + half), 0, [cell_w, cell_h]).astype(int)
+        hi = np.clip(np.ceil(ends.max(0) + radius + 1 + half), 0, [cell_w, cell_h]).astype(int)
+        if (hi <= lo).any():
+            continue
+        ys, xs = (g.ravel() for g in np.mgrid[lo[1]:hi[1], lo[0]:hi[0]])
+        d = np.sqrt(segment_distance2(np.stack([xs, ys], 1) + 0.5 - half, s))
+        ys, xs = ys + corner[1], xs + corner[0]
+        nearer = (d <= radius) & (d < nearest[ys, xs])
+        code[ys[nearer], xs[nearer]], nearest[ys[nearer], xs[nearer]] = slot, d[nearer]
+    return code[..., None]
+
+
+def outline(code, slot, segment, position, cell_w, cell_h):
+    a, d = segment[..., :2], segment[..., 2:] - segment[..., :2]
+    t = np.clip(((position - a) * d).sum(-1) / np.maximum((d * d).sum(-1), 1e-20), 0, 1)
+    foot = a + t[..., None] * d
+    across = foot - position
+    beyond = foot + across / np.sqrt(np.maximum((across * across).sum(-1, keepdims=True), 1e-20))
+    cell = np.array([cell_w, cell_h])
+    own = np.stack(np.meshgrid(np.arange(code.shape[1]), np.arange(code.shape[0])), -1)
+    at = own // cell * cell + np.clip(np.floor(beyond + cell / 2), 0, cell - 1).astype(int)
+    clear = (code[..., 0] < 0) | (code[at[..., 1], at[..., 0], 0] < 0)
+    return ((slot[..., 0] >= 0) & clear).astype(np.int64)[..., None]
 
 
 def fold_segments(segments, clip, edges, edge_count, vertices):

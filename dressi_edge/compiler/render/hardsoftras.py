@@ -1,7 +1,8 @@
 """HardSoftRas (paper 3.4, Algorithm 2, equations 3 to 6): soft silhouettes and colours on hardware rasterization.
 
-In: clip coordinates (views x vertices), the mesh's topology, an atlas. Out: `Layers`: for each of K peels which face, its signed
-distance and probability, barycentrics for attributes; and the blends. Forward only: every gradient comes from the AD.
+In: clip coordinates (views x vertices), the mesh's topology, an atlas. Out: `Outline` or `Layers` (see `Softness.distance`): for each
+layer which face, its signed distance and probability, barycentrics for attributes; and the blends. Forward only: every gradient comes
+from the AD.
 """
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ from ..functions import (
     stop_gradient,
     to_int,
 )
-from ..ir import Extent, Node, image
+from ..ir import Extent, Node, image, table
+from ..ops.compact import compact
 from ..ops.reduce import TILE
 from ..topology import Topology
 
@@ -58,15 +60,24 @@ class Atlas:
         return Atlas(width, height, views, best)
 
 
+DISTANCES = ("outline", "face")
+
+
 @dataclass(frozen=True)
 class Softness:
-    """r, sigma, delta in pixels (defaults of paper 3.4.3: sigma = r / 7, delta = r); layers K; `folds=False` draws every face enlarged."""
+    """r, sigma, delta in pixels (defaults of paper 3.4.3: sigma = r / 7, delta = r); layers K.
+
+    distance: "face" is the paper's, to the nearest edge of each layer's face, softened where the edge mask of half width delta says;
+    "outline", for one layer, is to the nearest fold or boundary edge of the mesh and softens only pixels beside the outline, so that
+    edges inside the shape do not count: its gradient is nearer to that of covered area (docs/numerics.md) and costs less. By default
+    outline for one layer without a delta, face otherwise.
+    """
 
     r: float = 2.0
     sigma: float | None = None
     delta: float | None = None
     layers: int = 1
-    folds: bool = True
+    distance: str | None = None
 
     def __post_init__(self):
         if not (math.isfinite(self.r) and self.r > 0):
@@ -79,6 +90,13 @@ class Softness:
             raise InputError(f"delta is {self.delta} pixels; a number >= 0 is needed")
         if not 1 <= self.layers <= MAX_LAYERS:
             raise InputError(f"K is {self.layers}; 1 to {MAX_LAYERS} layers are allowed")
+        one = self.layers == 1 and self.delta is None
+        if self.distance is None:
+            object.__setattr__(self, "distance", "outline" if one else "face")
+        if self.distance not in DISTANCES:
+            raise InputError(f"distance is {self.distance!r}; allowed: {' '.join(DISTANCES)}")
+        if self.distance == "outline" and not one:
+            raise InputError("distance outline is for one layer and has no delta; distance face has both")
 
     @property
     def width(self) -> float:
@@ -108,11 +126,10 @@ def _segments(clip: Node, topology: Topology, atlas: Atlas, near: float) -> Node
     return select(apply("bit_and", a_behind, b_behind), 1e9, compose(a, b))
 
 
-def _boxes(low: Node, high: Node, exists: Node, reach: float, per_view: int, atlas: Atlas) -> Node:
+def _boxes(low: Node, high: Node, exists: Node, reach: float, view: Node, atlas: Atlas) -> Node:
     """Half-open boxes of the atlas' pixels whose centres are within `reach` of screen bounds; empty where nothing exists."""
     half = compose(atlas.width / 2, atlas.height / 2)
     limit = compose(float(atlas.width), float(atlas.height))
-    view = apply("idiv", apply("texel_index", extent=low.extent), per_view)
     origin = compose(apply("imod", view, atlas.columns) * atlas.width, apply("idiv", view, atlas.columns) * atlas.height)
     lo = to_int(clamp(low + half - (reach - 0.5), 0.0, limit))
     hi = to_int(clamp(high + half + (reach + 0.5), 0.0, limit))
@@ -132,78 +149,27 @@ class Layer:
     point: Node
 
 
-class Layers:
-    """The rasterized peels of a mesh in an atlas of views."""
+class _Rasterized:
+    """What both distances share: one layer or more, their blends, and attributes at their points."""
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
         self.clip, self.topology, self.atlas, self.softness, self.near = clip, topology, atlas, softness, near
         self.position = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
         self.segments = _segments(clip, topology, atlas, near)
-        s = stop_gradient(self.segments)
-        reach = max(softness.r, math.sqrt(2) * softness.reach) + 0.05
-        self.edge_boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, len(topology.edges), atlas)
-        codes = self._codes()
-        near = apply("edge_tiles", codes[0], reach=softness.reach)
-        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": (TILE, TILE)}
-        across = apply("hard_window", codes[0], near, dx=softness.reach, dy=0, **window)
-        self.edge_mask = apply("edge_mask", across, near, dx=0, dy=softness.reach, **window)
-        self.layers = [self._layer(code if code.channels == 1 else code.x) for code in codes]
-        self.stencil = self.layers[0].hard
+        self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
+        self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
+                     "face_count": len(topology.faces), "near": float(near), **self.cells}
 
-    def _codes(self) -> list[Node]:
-        a, t, k = self.atlas, self.topology, self.softness.layers
-        faces = constant_table(t.sorted_faces)
-        attrs = {"extent": a.extent, "cell_w": a.width, "cell_h": a.height, "columns": a.columns, "views": a.views,
-                 "vertices": t.vertex_count, "face_count": len(t.faces), "radius": float(self.softness.r), "near": float(self.near)}
-        if k == 1 and self.softness.folds:
-            folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(self.clip), constant_table(t.edge_vertices),
-                          edge_count=len(t.edges), vertices=t.vertex_count)
-            return [apply("rasterize_folds", self.clip, faces, folds, constant_table(t.edge_faces), edge_count=len(t.edges), **attrs)]
-        if k == 1:
-            return [apply("rasterize", self.clip, faces, **attrs)]
-        codes = [apply("rasterize_first", self.clip, faces, **attrs)]
-        for _ in range(k - 1):
-            codes.append(apply("rasterize_peel", self.clip, faces, codes[-1], **attrs))
-        return codes
-
-    def _layer(self, code: Node) -> Layer:
-        exists = code >= 0
-        hard = select(exists, apply("bit_and", code, 1), 0)
-        face = apply("shift_right", code, 1)
-        edge = apply("nearest_edge", code, constant_table(self.topology.face_edges), stop_gradient(self.segments), self.position,
-                     self.edge_mask, face_count=len(self.topology.faces), edge_count=len(self.topology.edges))
-        s = lookup(self.segments, edge, self.edge_boxes)
-        a, b = s.xy, s.zw
+    def _nearest(self, segment: Node, hard: Node) -> tuple[Node, Node]:
+        """Signed distance of the pixel to its segment, and the point of the face nearest to it."""
+        a, b = segment.xy, segment.zw
         d, o = b - a, self.position - a
         squared = maximum(dot(d, d), 1e-20)
         t = dot(o, d) / squared
         between = apply("bit_and", t > 0.0, t < 1.0)
         end = self.position - select(t < 0.5, a, b)
         far = select(between, absolute(_cross2(d, o)) / sqrt(squared), sqrt(dot(end, end)))
-        dist = select(hard, far, -far)
-        probability = select(edge >= 0, sigmoid(dist * (1.0 / self.softness.width)), 0.0)
-        point = select(hard, self.position, a + d * clamp(t, 0.0, 1.0))
-        return Layer(face, hard, dist, probability, point)
-
-    def silhouette(self) -> Node:
-        """Equation 6: 1 - prod(1 - D_k) at edges, the stencil elsewhere."""
-        clear = 1.0 - self.layers[0].probability
-        for layer in self.layers[1:]:
-            clear = clear * (1.0 - layer.probability)
-        return select(self.edge_mask, 1.0 - clear, apply("to_float", self.stencil))
-
-    def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
-        """Equation 5 over a background: the mean of the layers' colours weighted by probability at edges, C_1 inside."""
-        weights = [layer.probability for layer in self.layers]
-        total, mixed = weights[0], weights[0] * shaded[0]
-        for w, c in zip(weights[1:], shaded[1:]):
-            total, mixed = total + w, mixed + w * c
-        soft = mixed / maximum(total, 1e-12) if len(weights) > 1 else shaded[0]
-        alpha = self.silhouette()
-        front = select(self.edge_mask, soft, shaded[0])
-        return front * alpha + background * (1.0 - alpha)
-
-    # ---- attributes
+        return select(hard, far, -far), select(hard, self.position, a + d * clamp(t, 0.0, 1.0))
 
     @property
     def face_boxes(self) -> Node:
@@ -214,7 +180,11 @@ class Layers:
         low = [select(s.x < 1e8, minimum(s.xy, s.zw), 1e9) for s in rows]
         high = [select(s.x < 1e8, maximum(s.xy, s.zw), -1e9) for s in rows]
         low, high = minimum(minimum(low[0], low[1]), low[2]), maximum(maximum(high[0], high[1]), high[2])
-        return _boxes(low, high, low.x < 1e8, self.softness.r + 0.05, len(t.faces), self.atlas)
+        return _boxes(low, high, low.x < 1e8, self.softness.r + 0.05, self._view(len(t.faces)), self.atlas)
+
+    def _view(self, per_view: int) -> Node:
+        """The view of each entry of a table of views x per_view."""
+        return apply("idiv", apply("texel_index", extent=table(self.atlas.views * per_view)), per_view)
 
     def corners(self, table: Node, per_view: bool = False) -> list[Node]:
         """Tables (views x faces) of an attribute at the three sorted corners of each face."""
@@ -252,3 +222,119 @@ class Layers:
         face = select(layer.face >= 0, layer.face - view * len(self.topology.faces), -1)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+
+class Outline(_Rasterized):
+    """Distance "outline": the front faces, drawn hard, and around the mesh's fold and boundary edges the nearest of them.
+
+    A pixel beside an uncovered one, across the nearest point of its edge, has an alpha of its distance to that edge; so has any
+    uncovered pixel within r. All others have the stencil's. Edges and tiles that count are listed on the device first.
+    """
+
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
+        super().__init__(clip, topology, atlas, softness, near)
+        count, r = len(topology.edges), float(softness.r)
+        folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
+                      edge_count=count, vertices=topology.vertex_count)
+        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
+        edges = compact(self._in_cell(folds), each=3)
+        segments = edges.gather(self.segments)
+        fixed = stop_gradient(segments)
+        exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
+        boxes = _boxes(minimum(fixed.xy, fixed.zw), maximum(fixed.xy, fixed.zw), exists, r + 0.05, view, atlas)
+        listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
+        slot = apply("rasterize_segments", fixed, edges.entries, edges.running, **listed)
+        marks = apply("occupied", slot, side=TILE)
+        tiles = compact(marks, each=6)
+        slot = apply("within_tiles", slot, marks, tiles.entries, tiles.running, tile=(TILE, TILE))
+        hard = front >= 0
+        segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r)
+        beside = apply("outline", front, slot, stop_gradient(segment), self.position, cell_w=atlas.width, cell_h=atlas.height)
+        dist, point = self._nearest(segment, hard)
+        owner = lookup(constant_table(topology.edge_faces[:, 0]), select(exists, edges.entries - view * count, 0)) \
+            + view * len(topology.faces)
+        face = select(hard, front, select(beside, lookup(owner, slot), -1))
+        probability = select(beside, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
+        self.layers = [Layer(face, hard, dist, probability, point)]
+
+    def _in_cell(self, segments: Node) -> Node:
+        """1 for segments that come within r of their cell."""
+        half = compose(self.atlas.width / 2 + self.softness.r, self.atlas.height / 2 + self.softness.r)
+        low, high = minimum(segments.xy, segments.zw), maximum(segments.xy, segments.zw)
+        inside = [low.x < half.x, low.y < half.y, high.x > -half.x, high.y > -half.y]
+        while len(inside) > 1:
+            inside = [apply("bit_and", *inside[:2]), *inside[2:]]
+        return inside[0]
+
+    def _center(self, view: Node) -> Node:
+        """The middle of a view's cell, in pixels of the atlas."""
+        a = self.atlas
+        return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
+                       (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
+
+    def silhouette(self) -> Node:
+        return self.layers[0].probability
+
+    def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
+        """Equation 5 over a background."""
+        alpha = self.silhouette()
+        return shaded[0] * alpha + background * (1.0 - alpha)
+
+
+class Layers(_Rasterized):
+    """Distance "face": the peels of the enlarged faces (paper 3.4.2)."""
+
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
+        super().__init__(clip, topology, atlas, softness, near)
+        s = stop_gradient(self.segments)
+        reach = max(softness.r, math.sqrt(2) * softness.reach) + 0.05
+        self.edge_boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, self._view(len(topology.edges)), atlas)
+        codes = self._codes()
+        near = apply("edge_tiles", codes[0], reach=softness.reach)
+        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": (TILE, TILE)}
+        across = apply("hard_window", codes[0], near, dx=softness.reach, dy=0, **window)
+        self.edge_mask = apply("edge_mask", across, near, dx=0, dy=softness.reach, **window)
+        self.layers = [self._layer(code if code.channels == 1 else code.x) for code in codes]
+        self.stencil = self.layers[0].hard
+
+    def _codes(self) -> list[Node]:
+        faces = constant_table(self.topology.sorted_faces)
+        attrs = {**self.draw, "radius": float(self.softness.r)}
+        if self.softness.layers == 1:
+            return [apply("rasterize", self.clip, faces, **attrs)]
+        codes = [apply("rasterize_first", self.clip, faces, **attrs)]
+        for _ in range(self.softness.layers - 1):
+            codes.append(apply("rasterize_peel", self.clip, faces, codes[-1], **attrs))
+        return codes
+
+    def _layer(self, code: Node) -> Layer:
+        exists = code >= 0
+        hard = select(exists, apply("bit_and", code, 1), 0)
+        face = apply("shift_right", code, 1)
+        edge = apply("nearest_edge", code, constant_table(self.topology.face_edges), stop_gradient(self.segments), self.position,
+                     self.edge_mask, face_count=len(self.topology.faces), edge_count=len(self.topology.edges))
+        dist, point = self._nearest(lookup(self.segments, edge, self.edge_boxes), hard)
+        probability = select(edge >= 0, sigmoid(dist * (1.0 / self.softness.width)), 0.0)
+        return Layer(face, hard, dist, probability, point)
+
+    def silhouette(self) -> Node:
+        """Equation 6: 1 - prod(1 - D_k) at edges, the stencil elsewhere."""
+        clear = 1.0 - self.layers[0].probability
+        for layer in self.layers[1:]:
+            clear = clear * (1.0 - layer.probability)
+        return select(self.edge_mask, 1.0 - clear, apply("to_float", self.stencil))
+
+    def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
+        """Equation 5 over a background: the mean of the layers' colours weighted by probability at edges, C_1 inside."""
+        weights = [layer.probability for layer in self.layers]
+        total, mixed = weights[0], weights[0] * shaded[0]
+        for w, c in zip(weights[1:], shaded[1:]):
+            total, mixed = total + w, mixed + w * c
+        soft = mixed / maximum(total, 1e-12) if len(weights) > 1 else shaded[0]
+        alpha = self.silhouette()
+        front = select(self.edge_mask, soft, shaded[0])
+        return front * alpha + background * (1.0 - alpha)
+
+
+def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float) -> Outline | Layers:
+    """A mesh rasterized as `softness` says: clip coordinates (views x vertices), `near` the smallest w in front of the cameras."""
+    return (Outline if softness.distance == "outline" else Layers)(clip, topology, atlas, softness, near)

@@ -28,7 +28,7 @@ from ..topology import Topology
 from ..views import Views
 from . import objective
 from .camera import ViewTable, fixed_views, posed_views, to_clip
-from .hardsoftras import Atlas, Layers, Softness
+from .hardsoftras import Atlas, Layers, Outline, Softness, rasterized
 from .normals import vertex_normals
 from .optimizer import Adam, Sgd
 from .schedule import Schedule
@@ -162,7 +162,7 @@ class Problem:
         own = to_int(apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height) + half)
         return apply("fetch", self.targets, own + corner)
 
-    def _shaded(self, layers: Layers, step: Node) -> list[Node]:
+    def _shaded(self, layers: Outline | Layers, step: Node) -> list[Node]:
         positions, result = self.parameters["vertices"], []
         normals = vertex_normals(positions, self.topology) if self.shading == "lambert" else None
         point = any(kind == "point" for kind, _, _ in self.lighting)
@@ -183,7 +183,7 @@ class Problem:
             result.append(encode_srgb(color) if self.srgb else color)
         return result
 
-    def _term(self, loss: Loss, layers: Layers | None, target: Node | None, color) -> Node:
+    def _term(self, loss: Loss, layers: Outline | Layers | None, target: Node | None, color) -> Node:
         positions = self.parameters["vertices"]
         if loss.kind == "normal_consistency":
             return objective.normal_consistency(positions, self.topology)
@@ -217,7 +217,7 @@ class Problem:
         layers = target = None
         if any(loss.kind in IMAGE_LOSSES for loss in losses):
             clip = to_clip(self.parameters["vertices"], table if view is None else table.choose(view))
-            layers = Layers(clip, self.topology, atlas, softness, table.near)
+            layers = rasterized(clip, self.topology, atlas, softness, table.near)
             target = self._target(atlas, view)
 
         def color() -> Node:
@@ -242,7 +242,7 @@ class Problem:
         """Add a plan that draws all views: output `<name>.color` (views, height, width, 4), RGBA with straight colour over the
         background, or `<name>.silhouette` (views, height, width)."""
         n, atlas = len(self.cameras), self.all_views
-        layers = Layers(to_clip(self.parameters["vertices"], self._view_table()), self.topology, atlas, softness or Softness(),
+        layers = rasterized(to_clip(self.parameters["vertices"], self._view_table()), self.topology, atlas, softness or Softness(),
                         fixed_views(self.cameras).near)
         alpha = layers.silhouette()
         if color:

@@ -1,0 +1,143 @@
+"""Compaction: the entries that are set, as a dense list in ascending order, without atomics and without the host.
+
+A tree of counts over chunks of 64 entries is summed upwards; each slot of the list then descends it. The last texel of the running
+counts is the number of vertices to draw for all slots: draws over a list take it from there (`Draw.count`).
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..ir import Node, table
+from ..optable import Loop, apply, op
+
+CHUNK = 64
+
+
+def _chunks(name, inputs, attrs):
+    return "int", table(-(-inputs[0].extent.count // CHUNK))
+
+
+def _as_table(values: np.ndarray, count: int) -> np.ndarray:
+    """(n, channels), the first `count` of them in a table's image, zeros after."""
+    extent = table(count)
+    out = np.zeros((extent.width * extent.height, values.shape[1]), np.int64)
+    out[:count] = values[:count]
+    return out.reshape(extent.height, extent.width, -1)
+
+
+def _counts_ref(flags, count):
+    entries = flags.reshape(-1)[:count]
+    starts = np.arange(0, len(entries), CHUNK)
+    return _as_table(np.add.reduceat(entries, starts)[:, None], len(starts))
+
+
+def _running_ref(counts, count, each):
+    entries = np.cumsum(counts.reshape(-1)[:count])
+    ends = np.minimum(np.arange(CHUNK, len(entries) + CHUNK, CHUNK), len(entries)) - 1
+    chunks, extent = entries[ends] * each, table(len(ends))
+    padded = np.concatenate([chunks, np.full(extent.width * extent.height - len(chunks), chunks[-1])])
+    return padded.reshape(extent.height, extent.width, 1)
+
+
+op("chunk_counts", "flags", infer=_chunks, reads="texel", ref=_counts_ref, cost=64,
+   loop=Loop(f"for (int k_ = {{i}} * {CHUNK}; k_ < min({{i}} * {CHUNK} + {CHUNK}, {{count}}); ++k_) {{", "{y} += {flags_at}(k_);"),
+   sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268}),
+   doc="Sums over chunks of 64 entries, the first `count` of them.")
+op("running_counts", "counts", infer=_chunks, reads="texel", ref=_running_ref, cost=500,
+   loop=Loop(f"for (int k_ = 0; k_ < min({{i}} * {CHUNK} + {CHUNK}, {{count}}); ++k_) {{", "{y} += {counts_at}(k_) * {each};"),
+   sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "each": 3}),
+   doc="`each` times the sum of all entries up to the end of each chunk of 64; the last texel has the total.")
+
+
+def _first_ref(running, each, extent):
+    ends = running.reshape(-1) // each
+    slot = np.arange(extent.width * extent.height)
+    chunk = np.searchsorted(ends, slot, side="right")
+    start = np.concatenate([[0], ends])[np.minimum(chunk, len(ends))]
+    out = np.where((slot < ends[-1])[:, None], np.stack([chunk, slot - start], 1), (-1, 0))
+    return out.reshape(extent.height, extent.width, 2)
+
+
+def _descend_ref(counts, at, count):
+    entries = counts.reshape(-1)[:count]
+    ends = np.cumsum(entries)
+    start = (ends - entries)[np.minimum(np.maximum(at[..., 0], 0) * CHUNK, len(entries) - 1)]
+    child = np.searchsorted(ends, start + at[..., 1], side="right")
+    rest = start + at[..., 1] - (ends - entries)[np.minimum(child, len(entries) - 1)]
+    return np.where(at[..., :1] < 0, (-1, 0), np.stack([child, rest], -1))
+
+
+op("first_chunk", "running", infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel", ref=_first_ref, cost=64,
+   glsl="""{y} = ivec2(-1, 0);
+{ int s_ = {i} * {each}, end_ = s_ < {running}(ivec2({running_w} - 1, {running_h} - 1)) ? {running_n} : 0, before_ = 0, k_ = 0;
+  for (; k_ < end_; ++k_) { int c_ = {running_at}(k_); if (s_ < c_) break; before_ = c_; }
+  if (end_ > 0) {y} = ivec2(k_, (s_ - before_) / {each}); }""",
+   sample=lambda rng: ([np.array([0, 9, 9, 21, 33, 33])[None, :, None]], {"each": 3, "extent": table(13)}),
+   doc="For each slot of a list the chunk that holds its entry, and which set entry of that chunk it is; -1 after the last.")
+op("descend", "counts at", infer=lambda name, inputs, attrs: ("ivec2", inputs[1].extent), reads="texel own", ref=_descend_ref, cost=64,
+   glsl=f"""{{ int k_ = {{at}}.x * {CHUNK}, end_ = {{at}}.x < 0 ? k_ : min(k_ + {CHUNK}, {{count}}), rest_ = {{at}}.y;
+  for (; k_ < end_; ++k_) {{ int c_ = {{counts_at}}(k_); if (rest_ < c_) break; rest_ -= c_; }}
+  {{y}} = {{at}}.x < 0 ? ivec2(-1, 0) : ivec2(k_, rest_); }}""",
+   sample=lambda rng: ([np.tile([0, 2, 0, 1, 0, 0, 3, 1], 10)[None, :, None], np.array([[0, 0], [0, 5], [1, 1], [-1, 0]])[None]],
+                       {"count": 80}),
+   doc="One level down the tree of counts: from a chunk and a number within it to the child and the number within that.")
+
+
+def _slot_ref(flags, entries, running, each):
+    count = running.reshape(-1)[-1] // each
+    own = np.arange(flags.size)
+    slot = np.searchsorted(entries.reshape(-1)[:count], own)
+    return np.where(flags.reshape(-1) != 0, slot, -1).reshape(flags.shape)
+
+
+op("slot_of", "flags entries running", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="own texel texel",
+   ref=_slot_ref, cost=16,
+   glsl="""{ int low_ = 0, high_ = {flags} != 0 ? {running}(ivec2({running_w} - 1, {running_h} - 1)) / {each} : 0;
+  while (low_ < high_) { int mid_ = (low_ + high_) >> 1; if ({entries_at}(mid_) < {i}) low_ = mid_ + 1; else high_ = mid_; }
+  {y} = {flags} != 0 ? low_ : -1; }""",
+   sample=lambda rng: ([np.array([0, 1, 1, 0, 0, 1, 0, 1]).reshape(2, 4, 1), np.array([1, 2, 5, 7, -1, -1, -1, -1]).reshape(2, 4, 1),
+                        np.array([[[12]]])], {"each": 3}),
+   doc="Where each set entry stands in the list (by bisection); -1 for the others.")
+
+op("lookup_unique", "entries index inverse", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[1].extent),
+   absorbs_negative=(1,), reads="texel own texel", cost=8,
+   ref=lambda entries, index, inverse: np.where(
+       index >= 0, entries.reshape(-1, entries.shape[2])[np.maximum(index[..., 0], 0)], 0),
+   glsl="{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});",
+   vjp=lambda g, y, entries, index, inverse: (apply("lookup_unique", g, inverse, index), None, None),
+   sample=lambda rng: ([rng.normal(size=(2, 4, 3)), np.array([5, 1, 6, -1])[None, :, None],
+                        np.array([-1, 1, -1, -1, -1, 0, 2, -1]).reshape(2, 4, 1)], {}),
+   doc="A table's entries by an index that names none twice; `inverse` is where each is named, -1 if nowhere.")
+
+
+@dataclass(frozen=True)
+class Compact:
+    """A list of set entries: `entries` (a table as long as all could be, -1 after the last), `running` (its last texel: `each`
+    times how many there are), `slots` (of each entry, its place in the list or -1)."""
+
+    flags: Node
+    entries: Node
+    running: Node
+    each: int
+
+    @property
+    def slots(self) -> Node:
+        return apply("slot_of", self.flags, self.entries, self.running, each=self.each)
+
+    def gather(self, values: Node) -> Node:
+        """The entries of a table in the order of the list; zero after the last."""
+        return apply("lookup_unique", values, self.entries, self.slots)
+
+
+def compact(flags: Node, each: int) -> Compact:
+    """The list of the entries of an int table or image that are 1 (the others 0); a draw has `each` vertices an entry."""
+    levels = [flags]
+    while levels[-1].extent.count > CHUNK * CHUNK:
+        levels.append(apply("chunk_counts", levels[-1], count=levels[-1].extent.count))
+    running = apply("running_counts", levels[-1], count=levels[-1].extent.count, each=each)
+    at = apply("first_chunk", running, each=each, extent=table(flags.extent.count))
+    for counts in reversed(levels):
+        at = apply("descend", counts, at, count=counts.extent.count)
+    return Compact(flags, at.x, running, each)
