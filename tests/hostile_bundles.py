@@ -28,7 +28,8 @@ def vector(name: str) -> tuple[dict, list[bytes]]:
     """A fresh description without "blobs", and the blobs."""
     b = bundle.read(FOLDER / f"{name}.dressi")
     blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
-    return {k: x for k, x in copy.deepcopy(b.description).items() if k != "blobs"}, blobs
+    found = [{k: x for k, x in copy.deepcopy(one.description).items() if k != "blobs"} for one in b.variants]
+    return found[0] if len(found) == 1 else {"variants": found}, blobs
 
 
 def change(d, path: str, value) -> None:
@@ -44,10 +45,10 @@ def change(d, path: str, value) -> None:
         d[last] = value
 
 
-def packed(description, tail: bytes = b"") -> bytes:
+def packed(description, tail: bytes = b"", version: int = bundle.VERSION) -> bytes:
     """A file whose description is this msgpack or object, with a right checksum and nothing behind it."""
     text = description if isinstance(description, bytes) else msgpack.packb(description)
-    return HEAD.pack(bundle.MAGIC, 1, 0, len(text), hashlib.sha256(text).digest()) + text + tail
+    return HEAD.pack(bundle.MAGIC, version, 0, len(text), hashlib.sha256(text).digest()) + text + tail
 
 
 ROWS = [
@@ -174,6 +175,29 @@ ROWS = [
     ("draw_depth_nan", "states", [(f"{STAGE}.subpasses[0][0].depth_range", [float("nan"), 1.0])], "depth_range is a list of 2; two"),
     ("cycle", "silhouette", [("plans[0].stages[0].subpasses[0][0].images[0]", 2)], "images[0]: image 1 is written by the same stage"),
     ("late", "silhouette", [("plans[0].stages[1].subpasses[0][0].images[2]", 0)], "image 0 lacks usage 4"),
+    # variants
+    ("variants_lacks", "variants", [("variants[1].plans", DROP)], "variants[1]: description lacks plans"),
+    ("variants_beside", "variants", [("plans", [])], "description has the unknown key 'plans'"),
+    ("variants_map", "variants", [("variants", {})], "variants is a map of 0; a list of at most 16 is allowed"),
+    ("variants_none", "variants", [("variants", [])], "variants is a list of 0; 2 to 16 are needed"),
+    ("variants_one", "variants", [("variants[1]", DROP)], "variants is a list of 1; 2 to 16 are needed"),
+    ("variants_many", "variants", [("variants", [0] * 17)], "variants is a list of 17; a list of at most 16 is allowed"),
+    ("variants_number", "variants", [("variants[1]", 7)], "variants[1] is 7; a map without blobs is needed"),
+    ("variants_blobs", "variants", [("variants[0].blobs", [])], "; a map without blobs is needed"),
+    ("variants_nested", "variants", [("variants[1]", {"variants": []})], "variants[1]: description lacks meta"),
+    ("variants_deep", "variants", [("variants[1]", DEEP)], "variants[1] is a list of 1; a map without blobs is needed"),
+    ("variants_name", "variants", [("variants[1].profile.name", "limit8")], "variants[1].profile.name 'limit8' is taken"),
+    ("variants_image", "variants", [("variants[1].images[0].width", 0)], "variants[1]: images[0].width is 0; an integer from 1"),
+    ("variants_shader", "variants", [("variants[1].shaders[0]", 99)], "variants[1]: shaders[0] is 99; an integer from 0 to "),
+    ("variants_shader_is_other", "variants", [("variants[1].pipelines[0].vertex", 1)],
+     "variants[1]: pipelines[0].vertex: shader 1 is for the fragment stage"),
+    ("variants_values", "variants", [("variants[1].values[0].name", "z")], "variants[1].values[0].name is 'z'; that of variants[0] is 'x'"),
+    ("variants_value_type", "variants", [("variants[1].values[0].type", "int"), ("variants[1].images[1].format", 99)],
+     "variants[1].values[0].type is 'int'; that of variants[0] is 'float'"),
+    ("variants_initial", "variants", [("variants[1].values[1].initial", None)], "variants[1].values[1].initial is None; that of"),
+    ("variants_fewer_plans", "variants", [("variants[1].plans[2]", DROP)], "variants[1].plans is a list of 2; variants[0] has 3"),
+    ("variants_plan_name", "variants", [("variants[1].plans[0].name", "p")], "variants[1].plans[0].name is 'p'; that of variants[0]"),
+    ("variants_plan_steps", "variants", [("variants[1].plans[1].steps", 3)], "variants[1].plans[1].steps is 3; that of variants[0] is 2"),
 ]
 
 
@@ -186,6 +210,7 @@ def files() -> dict[str, tuple[bytes, str]]:
     def shift(at, x):
         return good[:at] + x + good[at + len(x):]
 
+    several = (FOLDER / "variants.dressi").read_bytes()
     entries = bundle.loads(good).description["blobs"]
     moved = {**d, "blobs": [[entries[0][0] + 64, *entries[0][1:]], *entries[1:]]}
     huge = {**d, "blobs": [*entries[:-1], [entries[-1][0], 1 << 40, entries[-1][2]]]}
@@ -193,7 +218,9 @@ def files() -> dict[str, tuple[bytes, str]]:
         "empty": (b"", "0 bytes; a bundle has at least 56"),
         "magic": (shift(0, b"PNG"), "not a bundle: the file does not begin with DRESSI"),
         "line_ends": (shift(6, b"\n"), "not a bundle"),
-        "version": (shift(8, b"\2"), "format version 2; this reader knows 1"),
+        "version": (shift(8, b"\3"), "format version 3; this reader knows 1 and 2"),
+        "version_of_several": (shift(8, b"\2"), "description lacks variants"),
+        "version_of_one": (several[:8] + b"\1" + several[9:], "description lacks meta"),
         "reserved": (shift(12, b"\1"), "reserved field is 1; 0 is allowed"),
         "size": (shift(16, b"\xff" * 8), "truncated: the description has 18446744073709551615 bytes"),
         "digest": (shift(24, b"\0" * 32), "the description's checksum does not match; the file is damaged"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dressi_edge import runtime
-from dressi_edge.cache.bundle import dumps
+from dressi_edge.cache.bundle import combine, dumps
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe
@@ -85,16 +85,28 @@ def texture():
                ("set", "uv", rng.uniform(-1, 2, (5, 6, 2)).astype(np.float32)), ("get", "y")]
 
 
+def variants():
+    """Two variants in one file: five results in one pass, and in two for devices of four attachments."""
+    p, layout = Program(), image("float", 6, 5)
+    x, s = p.input("x", layout), p.state("s", UNIT, 1.0)
+    p.plan("grow", {"s": s + mean(x)}, {}, steps=2)
+    p.plan("map", {}, {f"y{k}": (x * s + float(k), layout) for k in range(5)})
+    data = np.linspace(-1, 2, 30, dtype=np.float32).reshape(5, 6)
+    return p, [("set", "x", data), ("get", "y0"), ("step", "grow", 2), ("get", "y4"), ("get", "s")]
+
+
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
-TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture)}
+TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 1e-5}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture, variants)}
+PROFILES = {"variants": ("limit8", "vulkan_min")}  # of the others PROFILE
 
 
 def compiled(name: str) -> tuple[bytes, list]:
     """The bundle's bytes, and what to do with it."""
     program, steps = VECTORS[name]()
-    description, assembler = describe(program, Profile.load(PROFILE))
-    return dumps(description, assembler.blobs), steps
+    made = [(description, assembler.blobs) for description, assembler in (
+        describe(program, Profile.load(profile)) for profile in PROFILES.get(name, (PROFILE,)))]
+    return dumps(*(combine(made) if len(made) > 1 else made[0])), steps
 
 
 def perform(session, step: tuple):
