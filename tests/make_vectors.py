@@ -95,10 +95,18 @@ def variants():
     return p, [("set", "x", data), ("get", "y0"), ("step", "grow", 2), ("get", "y4"), ("get", "s")]
 
 
+def subpasses():
+    """More images than one stage may sample: two subpasses, the second of which reads the first as input attachment."""
+    p, layout = Program(), image("vec2", 5, 3)
+    xs = [p.input(f"x{k}", layout, np.full((3, 5, 2), k / 8)) for k in range(20)]
+    p.plan("add", {}, {"y": (sum(xs[1:], xs[0]) * 0.5, layout)})
+    return p, [("get", "y"), ("set", "x19", np.arange(30, dtype=np.float32).reshape(3, 5, 2)), ("get", "y")]
+
+
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
-TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 1e-5}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture, variants)}
-PROFILES = {"variants": ("limit8", "vulkan_min")}  # of the others PROFILE
+TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 1e-5, "subpasses": 1e-6}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture, variants, subpasses)}
+PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 
 
 def compiled(name: str) -> tuple[bytes, list]:

@@ -236,6 +236,8 @@ class Session:
                 self._run_if_changed(plan)
             elif not self._runs[plan.name]:
                 raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
+        elif not self._given.get(value["name"], True):
+            raise InputError(f"{value['name']} has no value yet; set it first")
         return download(self._work, self._staging, [self._handle(value["image"])])[0]
 
     # ---- running
