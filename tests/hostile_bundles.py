@@ -232,6 +232,8 @@ def files() -> dict[str, tuple[bytes, str]]:
         "no_msgpack": (packed(b"\xc1"), "the description has the byte 0xc1 at 0"),
         "extension": (packed(b"\xd4\1\1"), "the description has the byte 0xd4 at 0"),
         "claims": (packed(b"\xdd\xff\xff\xff\xff"), "the description claims more than its 5 bytes can hold"),
+        "float32": (packed(b"\x81\xa1x\xca\0\0\0\0"), "the description has the byte 0xca at 3; nil, booleans, integers, float 64"),
+        "items_in_all": (packed(b"\xdd" + struct.pack(">I", 1 << 22) + bytes(1 << 22)), "has more than 4194304 items"),
         "claims_nested": (packed(b"\xdc\xff\xff" * 30000), "the description claims more than its 90000 bytes can hold"),
         "claims_map": (packed(b"\xdf\0\1\0\0" + b"\xa0\xc0" * 50000), "the description claims more than"),
         "claims_text": (packed(b"\xdb\xff\xff\xff\xff"), "the description ends within a value"),

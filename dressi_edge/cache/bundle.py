@@ -26,11 +26,15 @@ HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description b
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
 MAX_DESCRIPTION_BYTES = 1 << 26
-# What MessagePack has between the headers of arrays, maps and longer texts: small integers, nil, booleans; the digest of a blob;
-# numbers; short texts. The repeat is bounded because a regular expression remembers each of them.
+MAX_ITEMS_IN_ALL = 1 << 22  # values of a description: what decoding takes is bounded, however small they are
+# What MessagePack has between the headers of longer arrays, maps and texts. First scalars: small integers, nil, booleans; the digest
+# of a blob; numbers; short texts. Their repeat is bounded because a regular expression remembers each of them. Then headers of
+# small arrays and maps, one byte each.
 _SHORT = b"|".join(b"%b.{%d}" % (re.escape(bytes([0xa0 + n])), n) for n in range(32))
-_SCALARS = re.compile(rb"(?:[\x00-\x7f\xc0\xc2\xc3\xe0-\xff]+|\xc4\x20.{32}|[\xcc\xd0].|[\xcd\xd1]..|[\xca\xce\xd2].{4}"
-                      rb"|[\xcb\xcf\xd3].{8}|" + _SHORT + rb"){1,64}", re.DOTALL)
+_SCALARS = (rb"(?:[\x00-\x7f\xc0\xc2\xc3\xe0-\xff]+|\xc4\x20.{32}|[\xcc\xd0].|[\xcd\xd1]..|[\xce\xd2].{4}"
+            rb"|[\xcb\xcf\xd3].{8}|" + _SHORT + rb"){0,64}")
+_RUN = re.compile(_SCALARS + rb"([\x80-\x9f]*)", re.DOTALL)
+_CLAIMS = bytes(128) + bytes(2 * n for n in range(16)) + bytes(range(16)) + bytes(96)  # of such a header
 
 
 class Bundle:
@@ -192,28 +196,34 @@ _ITEMS = {0xdc: (2, 1), 0xdd: (4, 1), 0xde: (2, 2), 0xdf: (4, 2)}  # bytes of th
 
 
 def _check_claims(text: bytes) -> None:
-    """Refuse what claims more items than there are bytes: a decoder makes room for them before it finds them missing."""
-    at, end, claimed = 0, len(text), 1
-    while at < end and claimed <= end:
-        run = _SCALARS.match(text, at)
-        if run:
+    """Refuse what claims more items than there are bytes, or than anyone needs: a decoder makes room for them before it finds them
+    missing."""
+    at, end, claimed, seen = 0, len(text), 1, 0
+    most = min(end, MAX_ITEMS_IN_ALL)
+    while at < end and claimed <= most:
+        run = _RUN.match(text, at)
+        if run.end() > at:
             at = run.end()
+            claimed += sum(run[1].translate(_CLAIMS))
             continue
+        seen += 1
+        if seen > claimed:
+            raise BundleError("the description goes on after its end")
         kind = text[at]
         at += 1
-        if 0x80 <= kind < 0xa0:
-            claimed += (kind & 15) * (2 if kind < 0x90 else 1)
-        elif kind in _ITEMS:
+        if kind in _ITEMS:
             size, times = _ITEMS[kind]
             claimed += int.from_bytes(text[at:at + size], "big") * times
             at += size
         elif kind in _LENGTHS:
             at += _LENGTHS[kind] + int.from_bytes(text[at:at + _LENGTHS[kind]], "big")
         else:
-            raise BundleError(f"the description has the byte {kind:#x} at {at - 1}; nil, booleans, numbers, text, bytes, arrays "
-                              "and maps are allowed")
+            raise BundleError(f"the description has the byte {kind:#x} at {at - 1}; nil, booleans, integers, float 64, text, bytes, "
+                              "arrays and maps are allowed")
     if claimed > end:
         raise BundleError(f"the description claims more than its {end} bytes can hold")
+    if claimed > most:
+        raise BundleError(f"the description has more than {most} items; a bundle has no need of so many")
     if at > end:
         raise BundleError("the description ends within a value")
 

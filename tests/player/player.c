@@ -23,7 +23,7 @@
 
 /* ---- Errors: a refusal names the path of what is wrong ---- */
 
-enum { MAX_DEPTH = 32, MAX_LIST = 1 << 20, MAX_DESCRIPTION = 1 << 26, BLOCK = 64 };
+enum { MAX_DEPTH = 32, MAX_LIST = 1 << 20, MAX_ITEMS = 1 << 22, MAX_DESCRIPTION = 1 << 26, BLOCK = 64 };
 
 static struct { const char *key; int64_t index; } path[MAX_DEPTH];
 static int path_length;
@@ -130,7 +130,7 @@ static void check_digest(const uint8_t *data, uint64_t size, const uint8_t *expe
     if (memcmp(found, expected, 32)) refuse("the checksum of %s is wrong", what);
 }
 
-/* ---- MessagePack: a tree of nodes, 16 bytes each, no more of them than the text has bytes ---- */
+/* ---- MessagePack: a tree of nodes, 16 bytes each, no more than bytes, nor than 2^22 ---- */
 
 typedef enum { NIL, BOOLEAN, INTEGER, REAL, STRING, BINARY, ARRAY, MAP } Kind;
 static const char *KINDS[] = {"nil", "a boolean", "an integer", "a float", "a str", "a bin", "a list", "a map"};
@@ -202,7 +202,7 @@ static void read_node(Node *node, int depth) {
         if (node->kind == STRING && !is_utf8(node->is.bytes, node->count)) refuse("the description has a str that is not UTF-8");
     } else if (node->kind == ARRAY || node->kind == MAP) {
         uint64_t n = node->kind == MAP ? UINT64_C(2) * node->count : node->count;
-        if (n > (uint64_t)(text.limit - text.free)) refuse("the description claims more items than it has bytes");
+        if (n > (uint64_t)(text.limit - text.free)) refuse("the description claims more items than it has bytes, or than are allowed");
         node->is.items = text.free;
         text.free += n;
         for (uint64_t k = 0; k < n; k++) {
@@ -213,8 +213,9 @@ static void read_node(Node *node, int depth) {
 }
 
 static Node read_description(const uint8_t *bytes, uint64_t size) {
-    Node *pool = make(size, sizeof *pool), root;
-    text.at = bytes, text.end = bytes + size, text.free = pool, text.limit = pool + size;
+    uint64_t most = size < MAX_ITEMS ? size : MAX_ITEMS;
+    Node *pool = make(most, sizeof *pool), root;
+    text.at = bytes, text.end = bytes + size, text.free = pool, text.limit = pool + most;
     read_node(&root, 0);
     if (text.at != text.end) refuse("bytes follow the description's map");
     return root;
