@@ -54,7 +54,7 @@ def states():
     a, t = p.state("a", table, np.arange(6) / 4), p.state("t", Layout("unit", "int"))
     b, rate = p.state("b", table, 1.0), p.input("rate", UNIT, 0.25)
     kept = apply("cos", apply("sin", lookup(p.input("fixed", table, np.arange(6)), np.arange(6)[::-1])))
-    p.plan("walk", {"a": b + kept * rate, "b": a * 0.5, "t": apply("add", t, 1)}, {"loss": (total(a * a) + to_float(t), UNIT)})
+    p.plan("walk", {"a": b * rate + kept, "b": a * 0.5, "t": apply("add", t, 1)}, {"loss": (total(a * a) + to_float(t), UNIT)})
     p.plan("rest", {"a": a * 0.5}, {}, steps=2)
     p.plan("look", {}, {"doubled": (a * 2.0, table)})
     seen = [("get", name) for name in ("a", "b", "t", "doubled")]
@@ -86,13 +86,15 @@ def texture():
 
 
 def variants():
-    """Two variants in one file: five results in one pass, and in two for devices of four attachments."""
+    """Two variants in one file: five results in one subpass, and in two for devices of four attachments. What `grow` needs is
+    prepared by three plans, of which one needs the others."""
     p, layout = Program(), image("float", 6, 5)
-    x, s = p.input("x", layout), p.state("s", UNIT, 1.0)
-    p.plan("grow", {"s": s + mean(x)}, {}, steps=2)
+    x, s, rate = p.input("x", layout), p.state("s", UNIT, 1.0), p.input("rate", UNIT, 0.5)
+    p.plan("grow", {"s": s + mean(apply("sin", x)) * apply("cos", apply("sin", rate))}, {}, steps=2)
     p.plan("map", {}, {f"y{k}": (x * s + float(k), layout) for k in range(5)})
     data = np.linspace(-1, 2, 30, dtype=np.float32).reshape(5, 6)
-    return p, [("set", "x", data), ("get", "y0"), ("step", "grow", 2), ("get", "y4"), ("get", "s")]
+    return p, [("set", "x", data), ("get", "y0"), ("step", "grow", 2), ("get", "y4"), ("get", "s"),
+               ("set", "rate", np.float32(2.0)), ("step", "grow", 1), ("get", "s")]
 
 
 def subpasses():
@@ -104,7 +106,7 @@ def subpasses():
 
 
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
-TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 1e-5, "subpasses": 1e-6}
+TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6}
 VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture, variants, subpasses)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 

@@ -166,7 +166,7 @@ def test_the_command_line_lists_checks_and_chooses(several, tmp_path, capsys):
     code, out, _ = here("inspect", several, "--dot")
     assert out.count("digraph bundle {") == 2
     code, out, _ = here("verify", several)
-    assert code == 0 and "profile limit8 vulkan_min, 3 plans" in out
+    assert code == 0 and "profile limit8 vulkan_min, 5 plans" in out
     code, out, _ = here("verify", several, "-p", "raspberry_pi_4")
     assert code == 0 and "(vulkan_min fits raspberry_pi_4)" in out
     assert here("verify", FOLDER / "silhouette.dressi", "-p", "limit4")[0] == 0

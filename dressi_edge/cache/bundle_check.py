@@ -318,8 +318,10 @@ def _plan(where, plan, number, d) -> None:
     low = 0
     for k, x in enumerate(_list(f"{where}.needs", plan["needs"], most=MAX_NEEDS)):
         low = _number(f"{where}.needs[{k}]", x, low, number - 1) + 1
-        if d["plans"][x]["needs"] or d["plans"][x]["updates"]:
-            raise BundleError(f"{where}.needs[{k}]: plans[{x}] itself needs or updates something")
+        if d["plans"][x]["updates"]:
+            raise BundleError(f"{where}.needs[{k}]: plans[{x}] updates something")
+        if missing := set(d["plans"][x]["needs"]).difference(plan["needs"][:k]):
+            raise BundleError(f"{where}.needs[{k}]: plans[{x}] needs plans[{min(missing)}], which is not among them")
     for k, stage in enumerate(_list(f"{where}.stages", plan["stages"])):
         _stage(f"{where}.stages[{k}]", stage, d)
 

@@ -242,13 +242,18 @@ class Session:
 
     # ---- running
 
-    def _run_if_changed(self, plan: Plan) -> None:
+    def _run_if_changed(self, plan: Plan, prepared: bool = False) -> None:
         versions = tuple(map(self._version.__getitem__, plan.reads))
         if self._seen.get(plan.name) == versions:
             self._skipped[plan.name] += 1
         else:
-            self._run(plan, 1)
+            self._run(plan, 1, prepared)
             self._seen[plan.name] = versions
+
+    def _prepare(self, plan: Plan) -> None:
+        """Bring what the plan needs up to date, in order: what one of them needs comes before it."""
+        for name in plan.needs:
+            self._run_if_changed(self._plans[name], prepared=True)
 
     def _ready(self, plan: Plan) -> None:
         missing = [name for name in plan.inputs if not self._given[name]]
@@ -267,11 +272,11 @@ class Session:
         return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
                          timestamps)
 
-    def _run(self, plan: Plan, n: int) -> None:
+    def _run(self, plan: Plan, n: int, prepared: bool = False) -> None:
         self._ready(plan)
         self._work.settle()
-        for name in plan.needs:
-            self._run_if_changed(self._plans[name])
+        if not prepared:
+            self._prepare(plan)
         commands = [self._recording(plan).commands]
         if plan.states and n > 1:
             commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
@@ -350,8 +355,7 @@ class Session:
         """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps."""
         plan = self._plans[name]
         self._ready(plan)
-        for needed in plan.needs:
-            self._run_if_changed(self._plans[needed])
+        self._prepare(plan)
 
         def record(timestamps: int) -> Recording:
             return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)

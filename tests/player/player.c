@@ -792,7 +792,12 @@ static void read_plans(void) {
             if (bundle.values[plan->outputs.at[j]].role != OUTPUT) refuse("outputs what is no output");
         for (uint32_t j = 0; j < plan->needs.count; j++) {
             const Plan *other = bundle.plans + plan->needs.at[j];
-            if (other->needs.count || other->updates.count) refuse("needs a plan that needs or updates something itself");
+            if (other->updates.count) refuse("needs a plan that updates something");
+            for (uint32_t n = 0; n < other->needs.count; n++) {
+                uint32_t before = 0;
+                while (before < j && plan->needs.at[before] != other->needs.at[n]) before++;
+                if (before == j) refuse("needs a plan without what that needs");
+            }
             if (j && plan->needs.at[j] <= plan->needs.at[j - 1]) refuse("needs must rise");
         }
         const Node *stages = open_list(node, "stages", MAX_LIST);
