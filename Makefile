@@ -3,7 +3,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
-APT_PACKAGES ?= mesa-vulkan-drivers libvulkan1 glslang-tools spirv-tools vulkan-validationlayers python3-venv
+APT_PACKAGES ?= mesa-vulkan-drivers libvulkan1 glslang-tools spirv-tools vulkan-validationlayers python3-venv \
+    gcc libc6-dev libvulkan-dev
 
 READY := $(VENV)/.ready
 .ONESHELL:

@@ -7,8 +7,9 @@ geometry 24   the same with 24 views
 texture       an albedo of 1024x1024 on the pear, which stays: six views of 256x256, colours
 
 Each is compiled for every profile in device_profiles/ (--quick: the three plain ones), with the reactive cache and without; a step is
-the plan that `step()` runs, prepare what runs before the first and again only when its inputs change. No device is needed, and what
-the targets show does not matter: only their size does. The numbers go to --json and, as tables, between the markers of --docs.
+the plan that `step()` runs, prepare the plans that run before the first and again when something they read changes. No device is
+needed, and what the targets show does not matter: only their size does. The numbers go to --json and, as tables, between the markers of
+--docs.
 
 It stops with an error unless a profile that allows at least as much as another never takes more stages; six-view geometry on `limit4` is at
 most 20 stages and 15 pipelines a step; and 24 views take no more than six.
@@ -71,13 +72,15 @@ def texture(cameras: Sequence[Camera], size: int = 1024) -> Problem:
 
 
 def rows(name: str, problem: Problem, profiles: Sequence[Profile]) -> list[dict]:
-    """{"problem", "profile", "cache", "step": counts, "prepare": counts or None} for each profile, uncached and cached."""
+    """{"problem", "profile", "cache", "step": counts, "prepare": counts of all such plans or None} for each profile, uncached and
+    cached."""
     out = []
     for profile in profiles:
         for cache in (False, True):
             plans = summary(describe(problem.program, profile, cache=cache)[0])
-            out.append({"problem": name, "profile": profile.name, "cache": cache, "step": plans["step"],
-                        "prepare": plans.get("step.prepare")})
+            before = [counts for plan, counts in plans.items() if plan.startswith("step.prepare")]
+            prepare = {key: sum(counts[key] for counts in before) for key in COUNTS} if before else None
+            out.append({"problem": name, "profile": profile.name, "cache": cache, "step": plans["step"], "prepare": prepare})
     return out
 
 

@@ -64,11 +64,13 @@ def parser() -> argparse.ArgumentParser:
     def emulation(sub):
         sub.add_argument("--emulate", metavar="PROFILE", help="let the device report and enforce this profile's limits, formats "
                          "and features")
+        sub.add_argument("--profile", metavar="NAME", help="take the bundle's variant for this profile, not the first that fits")
 
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
     sub.add_argument("job", help="the job, a TOML file")
-    sub.add_argument("-p", "--profile", required=True,
-                     help="device profile: a name of `dressi-edge profiles list`, or a .json file")
+    sub.add_argument("-p", "--profile", required=True, action="append",
+                     help="device profile: a name of `dressi-edge profiles list`, or a .json file; several times, best first, for "
+                     "one bundle with a variant for each")
     sub.add_argument("-o", "--output", required=True, metavar="X.dressi", help="the bundle to write")
     json_switch(sub)
 
@@ -81,7 +83,8 @@ def parser() -> argparse.ArgumentParser:
                      "OUT.npz: the states as arrays")
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     emulation(sub)
-    sub.add_argument("--explain", action="store_true", help="print what ran how often, and what the session occupies")
+    sub.add_argument("--explain", action="store_true", help="print which variant was taken and why, what ran how often, and what "
+                     "the session occupies")
     json_switch(sub)
 
     sub = command("inspect", "show what a bundle is made of", target="bundle:inspect")
@@ -92,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
 
     sub = command("verify", "check a bundle without a device", target="bundle:verify")
     sub.add_argument("bundle")
-    sub.add_argument("-p", "--profile", help="and that it keeps every limit of this profile")
+    sub.add_argument("-p", "--profile", help="and that a variant keeps every limit of this profile")
     sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
 
     sub = command("bench", "time a bundle: each stage of each plan by device timestamps, and whole steps", target="bench:bench")

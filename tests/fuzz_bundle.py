@@ -20,7 +20,7 @@ from dressi_edge.cache.profile import Profile, misfit
 from dressi_edge.cache.summary import dot, text
 from dressi_edge.cache.verify import violations
 
-NAMES = ("ops", "reduction", "states", "texture")
+NAMES = ("ops", "reduction", "states", "texture", "variants")
 NUMBERS = (-1, 0, 1, 2, 3, 4, 5, 7, 8, 10, 16, 17, 23, 31, 99, 100, 109, 126, 255, 65535, 65536, 1 << 20, 1 << 31, 1 << 40, 1 << 63,
            (1 << 64) - 1)
 ODD = (None, True, False, 0.5, float("nan"), float("inf"), "", "a", "input", b"", b"x" * 32, [], {}, [[]], [0], [0, 0, 0, 0], {"a": 1})
@@ -104,10 +104,10 @@ class Fuzz:
             return mutate_bytes(r.choice(self.files), r)
         d, blobs = r.choice(self.sources)
         if kind == "text":
-            return packed(mutate_bytes(msgpack.packb(d), r), bytes(64))
+            return packed(mutate_bytes(msgpack.packb(d), r), bytes(64), bundle.SEVERAL if "variants" in d else bundle.VERSION)
         if kind == "words":
             blobs = list(blobs)
-            k = r.choice(d["shaders"])
+            k = r.choice(r.choice(d.get("variants", [d]))["shaders"])
             blobs[k] = mutate_words(blobs[k], r)
             return bundle.dumps(d, blobs)
         d = msgpack.unpackb(msgpack.packb(d))
@@ -127,11 +127,12 @@ class Fuzz:
             assert 0 < len(message) < 500 and message.isprintable(), ascii(message)
             self.messages.add("".join(c for c in message if not c.isdigit()))
         if accepted:
-            for profile in self.profiles:
-                violations(found.description, profile, found.interfaces)
-                misfit({**found.description["needs"]["limits"], **found.description["needs"]["formats"]}, profile)
-            text(found.description)
-            dot(found.description)
+            for one in found.variants:
+                for profile in self.profiles:
+                    violations(one.description, profile, one.interfaces)
+                    misfit({**one.description["needs"]["limits"], **one.description["needs"]["formats"]}, profile)
+                text(one.description)
+                dot(one.description)
         assert time.perf_counter() - start < SECONDS, f"{len(data)} bytes took {time.perf_counter() - start:.1f} s"
         self.counts[kind][accepted] += 1
 

@@ -28,7 +28,8 @@ def vector(name: str) -> tuple[dict, list[bytes]]:
     """A fresh description without "blobs", and the blobs."""
     b = bundle.read(FOLDER / f"{name}.dressi")
     blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
-    return {k: x for k, x in copy.deepcopy(b.description).items() if k != "blobs"}, blobs
+    found = [{k: x for k, x in copy.deepcopy(one.description).items() if k != "blobs"} for one in b.variants]
+    return found[0] if len(found) == 1 else {"variants": found}, blobs
 
 
 def change(d, path: str, value) -> None:
@@ -44,10 +45,10 @@ def change(d, path: str, value) -> None:
         d[last] = value
 
 
-def packed(description, tail: bytes = b"") -> bytes:
+def packed(description, tail: bytes = b"", version: int = bundle.VERSION) -> bytes:
     """A file whose description is this msgpack or object, with a right checksum and nothing behind it."""
     text = description if isinstance(description, bytes) else msgpack.packb(description)
-    return HEAD.pack(bundle.MAGIC, 1, 0, len(text), hashlib.sha256(text).digest()) + text + tail
+    return HEAD.pack(bundle.MAGIC, version, 0, len(text), hashlib.sha256(text).digest()) + text + tail
 
 
 ROWS = [
@@ -122,9 +123,9 @@ ROWS = [
     ("value_format", "ops", [("values[0].type", "ivec3")], "values[0]: its image has format 109, which does not hold ivec3"),
     ("value_usage", "ops", [("images[1].usage", 4)], "values[0]: its image lacks usage 3"),
     ("value_image", "ops", [("values[2].image", 77)], "values[2].image is 77; an integer from 0"),
-    ("value_shared", "states", [("values[2].image", 4)], "values[2].image 4 is that of values[0]"),
+    ("value_shared", "states", [("values[2].image", 3)], "values[2].image 3 is that of values[0]"),
     ("value_constant", "states", [("images[1].data", 5)], "values[4]: its image 1 is a constant"),
-    ("value_slots", "states", [("values[2].role", "input"), ("plans[1].updates", [0, 1])], "images[5].slots is 2; only the image of a"),
+    ("value_slots", "states", [("values[2].role", "input"), ("plans[1].updates", [0, 1])], "images[4].slots is 2; only the image of a"),
     ("value_initial", "states", [("values[0].initial", 2)], "values[0].initial: blobs[2] has 4 bytes; 32 are needed"),
     ("value_output_initial", "states", [("values[6].initial", 1)], "values[6].initial: an output has none"),
     # plans
@@ -132,12 +133,14 @@ ROWS = [
     ("plan_steps", "states", [("plans[1].steps", 1 << 41)], "plans[1].steps is 2199023255552; an integer from 0"),
     ("plan_updates_input", "states", [("plans[1].updates[0]", 3)], "plans[1].updates[0] is input 'rate'; state is allowed"),
     ("plan_updates_twice", "states", [("plans[1].updates", [0, 2, 1, 0])], "plans[1].updates names something twice"),
-    ("plan_updates_one_slot", "states", [("images[5].slots", 1)], "plans[1].updates[1]: the image of 'b' has one slot; two are needed"),
+    ("plan_updates_one_slot", "states", [("images[4].slots", 1)], "plans[1].updates[1]: the image of 'b' has one slot; two are needed"),
     ("plan_outputs_state", "states", [("plans[1].outputs[0]", 0)], "plans[1].outputs[0] is state 'a'; output is allowed"),
     ("plan_needs_itself", "states", [("plans[1].needs", [1])], "plans[1].needs[0] is 1; an integer from 0 to 0"),
     ("plan_needs_twice", "states", [("plans[1].needs", [0, 0])], "plans[1].needs[1] is 0; an integer from 1 to 0"),
-    ("plan_needs_needy", "states", [("plans[3].needs", [1])], "plans[3].needs[0]: plans[1] itself needs or updates something"),
-    ("plan_lacks_read", "states", [("plans[1].reads", [2, 0])], "plans[1].stages[1] reads 't', which plans[1].reads lacks"),
+    ("plan_needs_needy", "states", [("plans[3].needs", [1])], "plans[3].needs[0]: plans[1] updates something"),
+    ("plan_needs_open", "variants", [("variants[0].plans[3].needs", [0, 2])],
+     "plans[3].needs[1]: plans[2] needs plans[1], which is not among them"),
+    ("plan_lacks_read", "states", [("plans[1].reads", [2, 3, 0])], "plans[1].stages[1] reads 't', which plans[1].reads lacks"),
     ("plan_without_output", "states", [("plans[3].outputs", [5])], "plans[3].stages[0].attachments[0]: image 9 is not for this plan"),
     ("plan_lost_need", "states", [("plans[1].needs", [])], "plans[1].stages[0] reads image 0, which nothing has written"),
     ("plan_idle", "states", [("plans[2].stages", [])], "plans[2] does not write 'a'"),
@@ -146,25 +149,25 @@ ROWS = [
     ("stage_wait", "states", [(f"{STAGE}.wait", 1)], "plans[1].stages[0].wait is 1; a boolean is needed"),
     ("stage_first_wait", "states", [(f"{STAGE}.wait", False)], "plans[1].stages[0].wait is false; the stage touches what was written"),
     ("stage_hazard", "states", [("plans[1].stages[1].wait", False)], "plans[1].stages[1].wait is false"),
-    ("stage_size", "states", [(f"{STAGE}.width", 5)], "plans[1].stages[0].attachments[0]: image 4 is 4 x 2, the stage is 5 x 2"),
-    ("stage_attachments", "states", [(f"{STAGE}.attachments", [9, 11])], "plans[1].stages[0].attachments is a list of 2; a list of 3"),
-    ("stage_attached_twice", "states", [(f"{STAGE}.attachments", [9, 9, 16])], "plans[1].stages[0].attachments names something twice"),
+    ("stage_size", "states", [(f"{STAGE}.width", 5)], "plans[1].stages[0].attachments[0]: image 3 is 4 x 2, the stage is 5 x 2"),
+    ("stage_attachments", "states", [(f"{STAGE}.attachments", [7, 9])], "plans[1].stages[0].attachments is a list of 2; a list of 3"),
+    ("stage_attached_twice", "states", [(f"{STAGE}.attachments", [7, 7, 14])], "plans[1].stages[0].attachments names something twice"),
     ("stage_attachment_deep", "states", [(f"{STAGE}.attachments[0]", DEEP)], "plans[1].stages[0].attachments[0] is a list of 1; an"),
     ("stage_slot", "states", [(f"{STAGE}.attachments[2]", 17)], "plans[1].stages[0].attachments[2] is 17: the second slot of an image"),
-    ("stage_format", "states", [(f"{STAGE}.attachments[0]", 13)], "plans[1].stages[0].attachments[0]: image 6 of format 99 and usage"),
-    ("stage_current", "states", [(f"{STAGE}.attachments[0]", 8), (f"{STAGE}.subpasses[0][0].images[2]", 10)],
-     "plans[1].stages[0].attachments[0]: image 4 is not for this plan to write"),
-    ("stage_foreign", "states", [("plans[2].stages[0].attachments[0]", 11)], "plans[2].stages[0].attachments[0]: image 5 is not for"),
+    ("stage_format", "states", [(f"{STAGE}.attachments[0]", 11)], "plans[1].stages[0].attachments[0]: image 5 of format 99 and usage"),
+    ("stage_current", "states", [(f"{STAGE}.attachments[0]", 6), (f"{STAGE}.subpasses[0][0].images[3]", 8)],
+     "plans[1].stages[0].attachments[0]: image 3 is not for this plan to write"),
+    ("stage_foreign", "states", [("plans[2].stages[0].attachments[0]", 9)], "plans[2].stages[0].attachments[0]: image 4 is not for"),
     ("stage_none", "states", [("plans[3].stages[1]", None)], "plans[3].stages[1] is None; a map is needed"),
     ("stage_kept", "states", [("plans[3].stages[1]", {
         "pass": 0, "width": 4, "height": 2, "attachments": [0], "wait": True, "subpasses": [[]]})],
      "plans[3] writes image 0, which plans[0] keeps for others"),
     ("stage_subpasses", "states", [(f"{STAGE}.subpasses", [])], "plans[1].stages[0].subpasses is a list of 0; a list of 1 is needed"),
     ("draw_pipeline", "states", [(f"{STAGE}.subpasses[0][0].pipeline", 0)], "[0][0].pipeline 0 is made for another pass"),
-    ("draw_images", "states", [(f"{STAGE}.subpasses[0][0].images", [10])], "subpasses[0][0].images is a list of 1; a list of 3"),
+    ("draw_images", "states", [(f"{STAGE}.subpasses[0][0].images", [10])], "subpasses[0][0].images is a list of 1; a list of 4"),
     ("draw_ref", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 20)], "[0][0].images[0] is 20; an integer from 0 to 19"),
-    ("draw_usage", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 14)], "[0][0].images[0]: image 7 lacks usage 4"),
-    ("draw_feedback", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 16)], "images[0]: image 8 is written by the same stage"),
+    ("draw_usage", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 12)], "[0][0].images[0]: image 6 lacks usage 4"),
+    ("draw_feedback", "states", [(f"{STAGE}.subpasses[0][0].images[0]", 14)], "images[0]: image 7 is written by the same stage"),
     ("draw_next_slot", "states", [("plans[2].stages[0].subpasses[0][0].images[0]", 11)], "reads image 5, which nothing has written"),
     ("draw_integers", "texture", [("images[2].format", 102), ("values[1].type", "ivec2")], "image 2 has format 102; the shader reads"),
     ("draw_vertices", "states", [(f"{STAGE}.subpasses[0][0].vertices", 0)], "[0][0].vertices is 0; an integer from 1 to 2147483647"),
@@ -174,6 +177,29 @@ ROWS = [
     ("draw_depth_nan", "states", [(f"{STAGE}.subpasses[0][0].depth_range", [float("nan"), 1.0])], "depth_range is a list of 2; two"),
     ("cycle", "silhouette", [("plans[0].stages[0].subpasses[0][0].images[0]", 2)], "images[0]: image 1 is written by the same stage"),
     ("late", "silhouette", [("plans[0].stages[1].subpasses[0][0].images[2]", 0)], "image 0 lacks usage 4"),
+    # variants
+    ("variants_lacks", "variants", [("variants[1].plans", DROP)], "variants[1]: description lacks plans"),
+    ("variants_beside", "variants", [("plans", [])], "description has the unknown key 'plans'"),
+    ("variants_map", "variants", [("variants", {})], "variants is a map of 0; a list of at most 16 is allowed"),
+    ("variants_none", "variants", [("variants", [])], "variants is a list of 0; 2 to 16 are needed"),
+    ("variants_one", "variants", [("variants[1]", DROP)], "variants is a list of 1; 2 to 16 are needed"),
+    ("variants_many", "variants", [("variants", [0] * 17)], "variants is a list of 17; a list of at most 16 is allowed"),
+    ("variants_number", "variants", [("variants[1]", 7)], "variants[1] is 7; a map without blobs is needed"),
+    ("variants_blobs", "variants", [("variants[0].blobs", [])], "; a map without blobs is needed"),
+    ("variants_nested", "variants", [("variants[1]", {"variants": []})], "variants[1]: description lacks meta"),
+    ("variants_deep", "variants", [("variants[1]", DEEP)], "variants[1] is a list of 1; a map without blobs is needed"),
+    ("variants_name", "variants", [("variants[1].profile.name", "limit8")], "variants[1].profile.name 'limit8' is taken"),
+    ("variants_image", "variants", [("variants[1].images[0].width", 0)], "variants[1]: images[0].width is 0; an integer from 1"),
+    ("variants_shader", "variants", [("variants[1].shaders[0]", 99)], "variants[1]: shaders[0] is 99; an integer from 0 to "),
+    ("variants_shader_is_other", "variants", [("variants[1].pipelines[0].vertex", 1)],
+     "variants[1]: pipelines[0].vertex: shader 1 is for the fragment stage"),
+    ("variants_values", "variants", [("variants[1].values[0].name", "z")], "variants[1].values[0].name is 'z'; that of variants[0] is 'x'"),
+    ("variants_value_columns", "variants", [("variants[1].values[0].columns", 2)],
+     "variants[1].values[0].columns is 2; that of variants[0] is 1"),
+    ("variants_initial", "variants", [("variants[1].values[1].initial", None)], "variants[1].values[1].initial is None; that of"),
+    ("variants_fewer_plans", "variants", [("variants[1].plans[4]", DROP)], "variants[1].plans is a list of 4; variants[0] has 5"),
+    ("variants_plan_name", "variants", [("variants[1].plans[0].name", "p")], "variants[1].plans[0].name is 'p'; that of variants[0]"),
+    ("variants_plan_steps", "variants", [("variants[1].plans[3].steps", 3)], "variants[1].plans[3].steps is 3; that of variants[0] is 2"),
 ]
 
 
@@ -186,6 +212,7 @@ def files() -> dict[str, tuple[bytes, str]]:
     def shift(at, x):
         return good[:at] + x + good[at + len(x):]
 
+    several = (FOLDER / "variants.dressi").read_bytes()
     entries = bundle.loads(good).description["blobs"]
     moved = {**d, "blobs": [[entries[0][0] + 64, *entries[0][1:]], *entries[1:]]}
     huge = {**d, "blobs": [*entries[:-1], [entries[-1][0], 1 << 40, entries[-1][2]]]}
@@ -193,7 +220,9 @@ def files() -> dict[str, tuple[bytes, str]]:
         "empty": (b"", "0 bytes; a bundle has at least 56"),
         "magic": (shift(0, b"PNG"), "not a bundle: the file does not begin with DRESSI"),
         "line_ends": (shift(6, b"\n"), "not a bundle"),
-        "version": (shift(8, b"\2"), "format version 2; this reader knows 1"),
+        "version": (shift(8, b"\3"), "format version 3; this reader knows 1 and 2"),
+        "version_of_several": (shift(8, b"\2"), "description lacks variants"),
+        "version_of_one": (several[:8] + b"\1" + several[9:], "description lacks meta"),
         "reserved": (shift(12, b"\1"), "reserved field is 1; 0 is allowed"),
         "size": (shift(16, b"\xff" * 8), "truncated: the description has 18446744073709551615 bytes"),
         "digest": (shift(24, b"\0" * 32), "the description's checksum does not match; the file is damaged"),
@@ -205,6 +234,8 @@ def files() -> dict[str, tuple[bytes, str]]:
         "no_msgpack": (packed(b"\xc1"), "the description has the byte 0xc1 at 0"),
         "extension": (packed(b"\xd4\1\1"), "the description has the byte 0xd4 at 0"),
         "claims": (packed(b"\xdd\xff\xff\xff\xff"), "the description claims more than its 5 bytes can hold"),
+        "float32": (packed(b"\x81\xa1x\xca\0\0\0\0"), "the description has the byte 0xca at 3; nil, booleans, integers, float 64"),
+        "items_in_all": (packed(b"\xdd" + struct.pack(">I", 1 << 22) + bytes(1 << 22)), "has more than 4194304 items"),
         "claims_nested": (packed(b"\xdc\xff\xff" * 30000), "the description claims more than its 90000 bytes can hold"),
         "claims_map": (packed(b"\xdf\0\1\0\0" + b"\xa0\xc0" * 50000), "the description claims more than"),
         "claims_text": (packed(b"\xdb\xff\xff\xff\xff"), "the description ends within a value"),

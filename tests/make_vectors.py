@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dressi_edge import runtime
-from dressi_edge.cache.bundle import dumps
+from dressi_edge.cache.bundle import combine, dumps
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe
@@ -54,7 +54,7 @@ def states():
     a, t = p.state("a", table, np.arange(6) / 4), p.state("t", Layout("unit", "int"))
     b, rate = p.state("b", table, 1.0), p.input("rate", UNIT, 0.25)
     kept = apply("cos", apply("sin", lookup(p.input("fixed", table, np.arange(6)), np.arange(6)[::-1])))
-    p.plan("walk", {"a": b + kept * rate, "b": a * 0.5, "t": apply("add", t, 1)}, {"loss": (total(a * a) + to_float(t), UNIT)})
+    p.plan("walk", {"a": b * rate + kept, "b": a * 0.5, "t": apply("add", t, 1)}, {"loss": (total(a * a) + to_float(t), UNIT)})
     p.plan("rest", {"a": a * 0.5}, {}, steps=2)
     p.plan("look", {}, {"doubled": (a * 2.0, table)})
     seen = [("get", name) for name in ("a", "b", "t", "doubled")]
@@ -85,16 +85,38 @@ def texture():
                ("set", "uv", rng.uniform(-1, 2, (5, 6, 2)).astype(np.float32)), ("get", "y")]
 
 
+def variants():
+    """Two variants in one file: five results in one subpass, and in two for devices of four attachments. What `grow` needs is
+    prepared by three plans, of which one needs the others."""
+    p, layout = Program(), image("float", 6, 5)
+    x, s, rate = p.input("x", layout), p.state("s", UNIT, 1.0), p.input("rate", UNIT, 0.5)
+    p.plan("grow", {"s": s + mean(apply("sin", x)) * apply("cos", apply("sin", rate))}, {}, steps=2)
+    p.plan("map", {}, {f"y{k}": (x * s + float(k), layout) for k in range(5)})
+    data = np.linspace(-1, 2, 30, dtype=np.float32).reshape(5, 6)
+    return p, [("set", "x", data), ("get", "y0"), ("step", "grow", 2), ("get", "y4"), ("get", "s"),
+               ("set", "rate", np.float32(2.0)), ("step", "grow", 1), ("get", "s")]
+
+
+def subpasses():
+    """More images than one stage may sample: two subpasses, the second of which reads the first as input attachment."""
+    p, layout = Program(), image("vec2", 5, 3)
+    xs = [p.input(f"x{k}", layout, np.full((3, 5, 2), k / 8)) for k in range(20)]
+    p.plan("add", {}, {"y": (sum(xs[1:], xs[0]) * 0.5, layout)})
+    return p, [("get", "y"), ("set", "x19", np.arange(30, dtype=np.float32).reshape(3, 5, 2)), ("get", "y")]
+
+
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
-TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture)}
+TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture, variants, subpasses)}
+PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 
 
 def compiled(name: str) -> tuple[bytes, list]:
     """The bundle's bytes, and what to do with it."""
     program, steps = VECTORS[name]()
-    description, assembler = describe(program, Profile.load(PROFILE))
-    return dumps(description, assembler.blobs), steps
+    made = [(description, assembler.blobs) for description, assembler in (
+        describe(program, Profile.load(profile)) for profile in PROFILES.get(name, (PROFILE,)))]
+    return dumps(*(combine(made) if len(made) > 1 else made[0])), steps
 
 
 def perform(session, step: tuple):

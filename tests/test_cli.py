@@ -97,6 +97,22 @@ def test_the_reference_device_agrees_with_lavapipe(solved, capsys):
         np.testing.assert_allclose(losses["llvmpipe"][name], values, rtol=2e-3)
 
 
+def test_one_bundle_for_several_profiles_runs_the_one_that_fits_or_is_asked_for(solved, tmp_path, capsys):
+    path = tmp_path / "several.dressi"
+    code, out, err = here(capsys, "compile", solved[0] / "job.toml", "-p", "lavapipe", "-p", "limit4", "-o", path)
+    assert code == 0 and "for profile lavapipe, " in out and "for profile limit4, " in out, err
+    assert path.stat().st_size < 1.6 * (solved[0] / "x.dressi").stat().st_size
+    for more, taken in (((), "lavapipe"), (("--profile", "limit4"), "limit4"), (("--emulate", "limit4"), "limit4")):
+        code, out, err = here(capsys, "run", path, "--steps", "1", "--explain", "--json", *more)
+        report = json.loads(out)["report"]
+        assert code == 0 and report["profile"] == taken and set(report["variants"]) == {"lavapipe", "limit4"}, err
+    assert report["variants"]["lavapipe"].startswith("does not fit limit4: ")
+    code, _, err = here(capsys, "run", path, "--profile", "limit8")
+    assert code == 3 and "is none of this bundle's; there are: lavapipe limit4" in one_line(err)
+    code, _, err = here(capsys, "compile", solved[0] / "job.toml", "-p", "limit4", "-p", "limit4", "-o", path)
+    assert code == 3 and "profile limit4 is given twice" in one_line(err)
+
+
 def test_running_without_a_mesh_imports_no_compiler(solved, tmp_path):
     code = ("import sys\nsys.modules.update(trimesh=None, PIL=None)\nfrom dressi_edge.cli import main\n"
             "code = main(sys.argv[1:])\nassert not [m for m in sys.modules if m.startswith('dressi_edge.compiler')]\n"

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import threading
+import time
 import tracemalloc
 
 import fuzz_bundle
@@ -63,15 +64,47 @@ def test_a_description_cut_anywhere_is_refused_though_its_checksum_is_right(name
             bundle.loads(hostile_bundles.packed(text[:n]))
 
 
-@pytest.mark.parametrize("name, token", {
-    "empty_maps": b"\x80", "empty_lists": b"\x90", "maps": b"\x81\xa0\x80", "floats": b"\xcb" + b"\x11" * 8, "texts": b"\xa1a",
-    "nested": b"\xdc\x0f\xff" * 1000 + b"\xc0"}.items())
+TOKENS = {"empty_maps": b"\x80", "empty_lists": b"\x90", "maps": b"\x81\xa0\x80", "floats": b"\xcb" + b"\x11" * 8, "texts": b"\xa1a",
+          "long_empty_texts": b"\xd9\0", "long_empty_lists": b"\xdc\0\0", "nested": b"\xdc\x0f\xff" * 1000 + b"\xc0"}
+
+
+def worst(token: bytes, size: int) -> bytes:
+    """A file with these, over and over, in a list in meta: the worst that MessagePack decodes to."""
+    count = size // len(token)
+    return hostile_bundles.packed(msgpack.packb({"meta": {}})[:-1] + b"\x81\xa1x\xdd" + count.to_bytes(4, "big") + token * count)
+
+
+def seconds(data: bytes) -> float:
+    start = time.perf_counter()
+    try:
+        bundle.loads(data)
+    except BundleError:
+        pass
+    return time.perf_counter() - start
+
+
+def test_refusing_takes_no_longer_than_accepting():
+    """200 kB of the worst against a sound description of as many; twice the bytes take about twice as long."""
+    d, blobs = hostile_bundles.vector("ops")
+    draw = d["plans"][0]["stages"][0]["subpasses"][0][0]
+    draw["cells"] = [[0, 0, 1, 1]] * 40_000
+    good = bundle.dumps(d, blobs)
+    assert bundle.loads(good).description["plans"] and len(good) > 200_000
+    limit = min(seconds(good) for _ in range(3))
+    for name, token in TOKENS.items():
+        assert min(seconds(worst(token, 200_000)) for _ in range(3)) < 5 * limit, name
+        assert min(seconds(worst(token, 400_000)) for _ in range(3)) < 10 * limit, name
+
+
+def test_a_long_description_that_ended_long_ago_is_not_read_on():
+    """64 MB, of which no item is in a list: 32 million of them."""
+    with pytest.raises(BundleError, match="goes on after its end"):
+        bundle.loads(hostile_bundles.packed(b"\xd9\0" * (1 << 25)))
+
+
+@pytest.mark.parametrize("name, token", TOKENS.items())
 def test_memory_is_in_proportion_to_the_file(name, token):
-    """The worst that MessagePack decodes to, in a list in meta."""
-    d = {"meta": {}}
-    count = 200_000 // len(token)
-    text = msgpack.packb(d)[:-1] + b"\x81\xa1x\xdd" + count.to_bytes(4, "big") + token * count
-    data = hostile_bundles.packed(text)
+    data = worst(token, 200_000)
     tracemalloc.start()
     try:
         with pytest.raises(BundleError):

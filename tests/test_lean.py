@@ -12,15 +12,13 @@ from graphs import ROOT, python
 from test_session import walk
 
 from dressi_edge import runtime
-from dressi_edge.cache.errors import DeviceError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.functions import apply, mean
 from dressi_edge.runtime import vk
 from dressi_edge.runtime.device import Device
-from dressi_edge.runtime.emulate import EmulatedDevice
 
-pytest_plugins = ["gpu", "profile_bundles"]
+pytest_plugins = ["gpu"]
 
 INSTALLED_BYTES = 400_000  # of Python, the generated binding included
 IMPORTS = 100  # modules beyond those of numpy and msgpack
@@ -169,15 +167,3 @@ def test_the_app_of_the_guide_runs_and_goes_on_where_it_was_stopped(gpu, tmp_pat
     assert run()[-1] == "500"
     np.testing.assert_allclose(np.load(tmp_path / "vertices.npy"), wanted, atol=1e-5)
     assert run() == []
-
-
-def test_the_guide_opens_the_best_bundle_that_fits(gpu, profile_bundle):
-    names = {"runtime": runtime, "DeviceError": DeviceError}
-    exec(BLOCKS[1], names)  # noqa: S102
-    paths = profile_bundle("unlimited", 3), profile_bundle("limit4", 3)
-    for device, expected in ((gpu.device, "unlimited"), (EmulatedDevice(gpu.device, "limit4"), "limit4")):
-        with names["open_best"](paths, device) as s:
-            assert s.bundle.description["profile"]["name"] == expected
-    with pytest.raises(DeviceError, match="unlimited, does not fit limit4"):
-        names["open_best"](paths[:1], EmulatedDevice(gpu.device, "limit4"))
-    gpu.silent()

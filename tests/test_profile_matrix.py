@@ -26,6 +26,7 @@ PROFILES = ("limit4", "limit8", "unlimited", "vulkan_min", "mali_g76")
 SCENES = ("silhouette", "texture", "colors")
 STEPS = 20
 SIZE = 32
+POSES = ("rotation", "translation")
 ALWAYS = {("silhouette", "limit4", 3), ("texture", "vulkan_min", 1), ("colors", "mali_g76", 1)}
 CASES = [pytest.param(*case, marks=() if case in ALWAYS else pytest.mark.full, id="-".join(map(str, case)))
          for case in itertools.product(SCENES, PROFILES, (1, 3))]
@@ -108,8 +109,8 @@ def bundles(gpu):
     return get
 
 
-def moves(rng, shapes, count=14):
-    """A random sequence of calls: ("set", name, array), ("step", n), ("get", name)."""
+def moves(rng, first, count=14):
+    """A random sequence of calls: ("set", name, array), ("step", n), ("get", name). `first`: the values to begin with."""
     names = ("fit.loss", "render.color", "vertices", "targets")
     for _ in range(count):
         kind = rng.choice(["set", "step", "step", "get", "get"])
@@ -118,13 +119,15 @@ def moves(rng, shapes, count=14):
         elif kind == "get":
             yield "get", str(rng.choice(names))
         else:
-            name = str(rng.choice([n for n in shapes if n != "fit.step"]))
+            name = str(rng.choice(list(first)))
             if name == "vertices":
                 yield "set", name, icosphere(1, float(rng.uniform(0.4, 0.6))).positions
             elif name == "targets":
                 yield "set", name, target() * np.float32(rng.uniform(0.5, 1.0))
+            elif name in POSES:
+                yield "set", name, first[name] + rng.uniform(-0.05, 0.05, first[name].shape).astype(np.float32)
             else:
-                yield "set", name, rng.uniform(0.2, 0.8, shapes[name]).astype(np.float32)
+                yield "set", name, rng.uniform(0.2, 0.8, first[name].shape).astype(np.float32)
 
 
 def played(session, calls):
@@ -143,8 +146,9 @@ def played(session, calls):
 def test_any_sequence_of_calls_gives_the_same_bits_with_and_without_the_cache(gpu, bundles, scene, seed):
     cached, plain = bundles(scene)
     with runtime.load(cached, gpu.device) as session:
-        shapes = {n: session.shape(n) for n in ("vertices", "texture", "colors", "targets") if n in session.values}
-        calls = list(moves(np.random.default_rng(seed), shapes))
+        session.set("targets", target())
+        first = {n: session.get(n) for n in ("vertices", "texture", "colors", "targets", *POSES) if n in session.values}
+        calls = list(moves(np.random.default_rng(seed), first))
         found = played(session, calls)
         assert session.report()["runs"]["fit.prepare"] >= 1
     with runtime.load(plain, gpu.device) as session:
@@ -203,14 +207,88 @@ def test_a_step_of_a_texture_draws_no_geometry(gpu, bundles):
     assert draws("colors", "fit") > 0
 
 
-@pytest.mark.xfail(strict=True, reason="all that a group knows beforehand is one plan, which runs as a whole when any of its inputs is new")
-def test_what_is_known_beforehand_from_one_input_is_not_computed_again_when_another_is_new():
+# ---- what is known beforehand, by what it depends on
+
+
+NEEDED = {  # of `layered`: plan -> the inputs on which all that it computes depends
+    "fit.prepare.1": {"a"}, "fit.prepare.2": {"b"}, "fit.prepare.3": {"c"}, "fit.prepare.4": {"a", "b"}, "fit.prepare": {"a", "b", "c"}}
+
+
+def layered():
+    """A state that grows by a number of which parts depend on one, two and three of the inputs a, b, c."""
     program, layout = Program(), Layout("unit", "float")
     state = program.state("state", layout)
-    a, b = (program.input(name, Layout("image", "float", *size)) for name, size in (("a", (9, 7)), ("b", (5, 8))))
-    program.plan("fit", {"state": state + total(apply("sin", a)) * total(apply("sin", b))})
-    description, _ = describe(program, Profile.load("limit4"))
+    a, b, c = (program.input(name, Layout("image", "float", *size), 0.25) for name, size in (("a", (9, 7)), ("b", (5, 8)), ("c", (4, 3))))
+    both = apply("sin", apply("sin", total(apply("sin", a)) * total(apply("sin", b))))
+    program.plan("fit", {"state": state * 0.5 + total(apply("cos", c)) * both}, {"number": (total(apply("cos", c * both)), layout)})
+    return program
+
+
+def test_what_is_known_beforehand_from_one_input_is_not_computed_again_when_another_is_new():
+    description, _ = describe(layered(), Profile.load("limit4"))
     names = [value["name"] for value in description["values"]]
-    for plan in description["plans"]:
-        if not plan["updates"]:
-            assert len({"a", "b"} & {names[k] for k in plan["reads"]}) < 2
+    plans = {plan["name"]: plan for plan in description["plans"]}
+    found = {name: set() for name in plans if "prepare" in name}
+    for name, reads in found.items():
+        for needed in (plans[name], *(description["plans"][k] for k in plans[name]["needs"])):
+            reads |= {names[k] for k in needed["reads"]}
+    assert found == NEEDED
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_order_of_new_inputs_runs_what_depends_on_them_and_gives_the_bits_of_no_cache(gpu, seed):
+    rng, path = np.random.default_rng(seed), gpu.compile(layered())
+    with runtime.load(path, gpu.device) as session, gpu.open(layered(), cache=False) as plain:
+        shapes = {name: session.shape(name) for name in "abc"}
+        new, expected = set(shapes), dict.fromkeys(NEEDED, 0)
+        for _ in range(20):
+            for name in rng.choice(list(shapes), rng.integers(0, 3), replace=False):
+                array = rng.uniform(-1, 1, shapes[name]).astype(np.float32)
+                session.set(name, array)
+                plain.set(name, array)
+                new.add(str(name))
+            n = int(rng.integers(0, 3))
+            session.step(n)
+            plain.step(n)
+            if n:
+                for plan, inputs in NEEDED.items():
+                    expected[plan] += bool(inputs & new)
+                new = set()
+            assert {name: session.report()["runs"][name] for name in NEEDED} == expected
+            if session.report()["runs"]["fit"]:
+                for name in ("state", "number"):
+                    np.testing.assert_array_equal(session.get(name), plain.get(name))
+    gpu.silent()
+
+
+def test_an_input_sent_again_every_fourth_step_costs_the_stages_that_depend_on_it(gpu):
+    with gpu.open(layered()) as session:
+        stages = {name: len(plan["stages"]) for name, plan in session.plans.items()}
+        session.step()
+        before = session.report()["runs"]
+        for k in range(12):
+            if k % 4 == 0:
+                session.set("c", np.full((3, 4), 0.1 * k))
+            session.step()
+        report = session.report()
+        runs = {name: report["runs"][name] - before[name] for name in stages}
+        assert runs == {"fit": 12, "fit.prepare.1": 0, "fit.prepare.2": 0, "fit.prepare.3": 3, "fit.prepare.4": 0, "fit.prepare": 3}
+        cost = {name: runs[name] * stages[name] for name in stages}
+        assert sum(cost.values()) - cost["fit"] < 3 * sum(n for name, n in stages.items() if name != "fit") / 2
+        assert report["skipped"]["fit.prepare.1"] == 12
+    gpu.silent()
+
+
+def test_too_many_kinds_of_dependence_are_prepared_together(gpu):
+    program, layout = Program(), Layout("unit", "float")
+    y = program.state("state", layout)
+    for k in range(17):
+        y = y + total(apply("sin", program.input(f"x{k}", Layout("image", "float", 3, 2), k / 8)))
+    program.plan("fit", {"state": y})
+    with gpu.open(program) as session, gpu.open(program, cache=False) as plain:
+        assert list(session.plans) == ["fit.prepare", "fit"]
+        for one in (session, plain):
+            one.step(2)
+            one.set("x3", np.ones((2, 3)))
+            one.step(2)
+        np.testing.assert_array_equal(session.get("state"), plain.get("state"))

@@ -323,6 +323,8 @@ def test_an_input_that_nobody_set_is_named(gpu):
         for call in (lambda: s.step(1), lambda: s.get("y")):
             with pytest.raises(InputError, match="needs target; set it first"):
                 call()
+        with pytest.raises(InputError, match="target has no value yet; set it first"):
+            s.get("target")
         np.testing.assert_array_equal(s.get("x"), 0)
         s.set("target", np.ones((5, 7, 3)))
         s.step(1)

@@ -1,6 +1,7 @@
 """The bundle on disk: docs/bundle-format.md is the authority, this is its writer and reader.
 
-In: a description (plain dict) and blobs. Out: bytes, the same for the same input; or back, checked before anything is used.
+In: a description (plain dict) and blobs, or several variants of one. Out: bytes, the same for the same input; or back, checked
+before anything is used.
 """
 from __future__ import annotations
 
@@ -9,35 +10,51 @@ import os
 import re
 import stat
 import struct
+from collections.abc import Sequence
 
 import msgpack
 
 from . import vulkan as v
-from .bundle_check import check_description
+from .bundle_check import check_description, check_variants
 from .errors import BundleError
 from .files import replace_file
 from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
-VERSION = 1
+VERSION, SEVERAL = 1, 2  # format versions: of a file with one variant, with several
 HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
 MAX_DESCRIPTION_BYTES = 1 << 26
-# What MessagePack has between the headers of arrays, maps and longer texts: small integers, nil, booleans; the digest of a blob;
-# numbers; short texts. The repeat is bounded because a regular expression remembers each of them.
+MAX_ITEMS_IN_ALL = 1 << 22  # values of a description: what decoding takes is bounded, however small they are
+# What MessagePack has between the headers of longer arrays, maps and texts. First scalars: small integers, nil, booleans; the digest
+# of a blob; numbers; short texts. Their repeat is bounded because a regular expression remembers each of them. Then headers of
+# small arrays and maps, one byte each.
 _SHORT = b"|".join(b"%b.{%d}" % (re.escape(bytes([0xa0 + n])), n) for n in range(32))
-_SCALARS = re.compile(rb"(?:[\x00-\x7f\xc0\xc2\xc3\xe0-\xff]+|\xc4\x20.{32}|[\xcc\xd0].|[\xcd\xd1]..|[\xca\xce\xd2].{4}"
-                      rb"|[\xcb\xcf\xd3].{8}|" + _SHORT + rb"){1,64}", re.DOTALL)
+_SCALARS = (rb"(?:[\x00-\x7f\xc0\xc2\xc3\xe0-\xff]+|\xc4\x20.{32}|[\xcc\xd0].|[\xcd\xd1]..|[\xce\xd2].{4}"
+            rb"|[\xcb\xcf\xd3].{8}|" + _SHORT + rb"){0,64}")
+_RUN = re.compile(_SCALARS + rb"([\x80-\x9f]*)", re.DOTALL)
+_CLAIMS = bytes(128) + bytes(2 * n for n in range(16)) + bytes(range(16)) + bytes(96)  # of such a header
 
 
 class Bundle:
-    """A bundle that has passed every check: `description` (dict), `blob(k)` (bytes-like, read-only), and `interfaces`, what
-    each shader binds, takes and gives."""
+    """A variant of a file that has passed every check: `description` (dict), `blob(k)` (bytes-like, read-only), `interfaces`,
+    what each shader binds, takes and gives, and `digest`, the file's SHA-256."""
 
     def __init__(self, description: dict, data: memoryview, digest: str):
         self.description, self._data, self.digest = description, data, digest
         self.interfaces = check_shaders(description, self.blob)
+        self.after: tuple[Bundle, ...] = ()
+
+    @property
+    def variants(self) -> tuple[Bundle, ...]:
+        """This variant and those after it in the file, best first; of what `read` gives, all there are."""
+        return (self, *self.after)
+
+    @property
+    def profile(self) -> str:
+        """The name of the profile it was made for, by which a file has one variant."""
+        return self.description["profile"]["name"]
 
     def blob(self, k: int) -> memoryview:
         offset, size, _ = self.description["blobs"][k]
@@ -48,8 +65,20 @@ def _pad(size: int) -> int:
     return -size % ALIGN
 
 
+def combine(made: Sequence[tuple[dict, list[bytes]]]) -> tuple[dict, list[bytes]]:
+    """The description and blobs of one file for several variants, best first. What more than one holds is there once."""
+    numbers: dict[bytes, int] = {}
+    variants = []
+    for d, blobs in made:
+        at = {k: numbers.setdefault(blob, len(numbers)) for k, blob in enumerate(blobs)} | {None: None}
+        variants.append({**d, "shaders": [at[k] for k in d["shaders"]],
+                         "images": [{**image, "data": at[image["data"]]} for image in d["images"]],
+                         "values": [{**value, "initial": at[value["initial"]]} for value in d["values"]]})
+    return {"variants": variants}, list(numbers)
+
+
 def dumps(description: dict, blobs: list[bytes]) -> bytes:
-    """The file's bytes. `description` lacks "blobs", which is made here."""
+    """The file's bytes. `description` (of one variant, or of `combine`) lacks "blobs", which is made here."""
     entries, at = [], 0
     for blob in blobs:
         entries.append([at, len(blob), hashlib.sha256(blob).digest()])
@@ -63,7 +92,8 @@ def dumps(description: dict, blobs: list[bytes]) -> bytes:
     while HEADER.size + len(text) + _pad(HEADER.size + len(text)) != start:
         start = HEADER.size + len(text) + _pad(HEADER.size + len(text))
         text = pack(start)
-    head = HEADER.pack(MAGIC, VERSION, 0, len(text), hashlib.sha256(text).digest()) + text
+    version = SEVERAL if "variants" in description else VERSION
+    head = HEADER.pack(MAGIC, version, 0, len(text), hashlib.sha256(text).digest()) + text
     parts = [head, bytes(_pad(len(head)))]
     for blob in blobs:
         parts += [blob, bytes(_pad(len(blob)))]
@@ -81,8 +111,8 @@ def write(path: str | os.PathLike, description: dict, blobs: list[bytes]) -> str
 
 
 def read(path: str | os.PathLike, pin: str | None = None) -> Bundle:
-    """The checked bundle in a file. `pin`: the SHA-256 (64 hexadecimal digits) that the file must have. Raises BundleError,
-    with the path in the file of the first thing wrong."""
+    """The checked bundle in a file, the first of its `variants`. `pin`: the SHA-256 (64 hexadecimal digits) that the file must
+    have. Raises BundleError, with the path in the file of the first thing wrong."""
     try:
         found = os.stat(path)
         if not stat.S_ISREG(found.st_mode):
@@ -115,8 +145,9 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
     magic, version, reserved, size, digest = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise BundleError("not a bundle: the file does not begin with DRESSI")
-    if version != VERSION:
-        raise BundleError(f"format version {version}; this reader knows {VERSION}; compile the bundle again or update dressi_edge")
+    if version not in (VERSION, SEVERAL):
+        raise BundleError(f"format version {version}; this reader knows {VERSION} and {SEVERAL}; compile the bundle again or "
+                          "update dressi_edge")
     if reserved != 0:
         raise BundleError(f"reserved field is {reserved}; 0 is allowed")
     if size > len(data) - HEADER.size:
@@ -133,7 +164,11 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
         raise
     except Exception as e:  # msgpack raises many kinds
         raise BundleError(f"the description is no msgpack: {type(e).__name__}") from None
-    check_description(description)
+    if version == SEVERAL:
+        descriptions = check_variants(description)
+    else:
+        check_description(description)
+        descriptions = [description]
     at = HEADER.size + size
     for k, (offset, length, sha) in enumerate(description["blobs"]):
         if any(data[at:offset]) or offset != at + _pad(at):
@@ -145,8 +180,15 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
             raise BundleError(f"blobs[{k}]: the checksum does not match; the file is damaged")
     if len(data) != at + _pad(at) or any(data[at:]):
         raise BundleError(f"{len(data)} bytes; {at + _pad(at)} are needed, zeros after the last blob")
-    check_blobs(description)
-    return Bundle(description, memoryview(data), hashlib.sha256(data).hexdigest())
+    found, digest = [], hashlib.sha256(data).hexdigest()
+    for k, d in enumerate(descriptions):
+        try:
+            check_blobs(d)
+            found.append(Bundle(d, memoryview(data), digest))
+        except BundleError as e:
+            raise BundleError(f"variants[{k}]: {e}" if version == SEVERAL else str(e)) from None
+    found[0].after = tuple(found[1:])
+    return found[0]
 
 
 _LENGTHS = {0xc4: 1, 0xc5: 2, 0xc6: 4, 0xd9: 1, 0xda: 2, 0xdb: 4}  # bytes of the length of bin and str
@@ -154,28 +196,34 @@ _ITEMS = {0xdc: (2, 1), 0xdd: (4, 1), 0xde: (2, 2), 0xdf: (4, 2)}  # bytes of th
 
 
 def _check_claims(text: bytes) -> None:
-    """Refuse what claims more items than there are bytes: a decoder makes room for them before it finds them missing."""
-    at, end, claimed = 0, len(text), 1
-    while at < end and claimed <= end:
-        run = _SCALARS.match(text, at)
-        if run:
+    """Refuse what claims more items than there are bytes, or than anyone needs: a decoder makes room for them before it finds them
+    missing."""
+    at, end, claimed, seen = 0, len(text), 1, 0
+    most = min(end, MAX_ITEMS_IN_ALL)
+    while at < end and claimed <= most:
+        run = _RUN.match(text, at)
+        if run.end() > at:
             at = run.end()
+            claimed += sum(run[1].translate(_CLAIMS))
             continue
+        seen += 1
+        if seen > claimed:
+            raise BundleError("the description goes on after its end")
         kind = text[at]
         at += 1
-        if 0x80 <= kind < 0xa0:
-            claimed += (kind & 15) * (2 if kind < 0x90 else 1)
-        elif kind in _ITEMS:
+        if kind in _ITEMS:
             size, times = _ITEMS[kind]
             claimed += int.from_bytes(text[at:at + size], "big") * times
             at += size
         elif kind in _LENGTHS:
             at += _LENGTHS[kind] + int.from_bytes(text[at:at + _LENGTHS[kind]], "big")
         else:
-            raise BundleError(f"the description has the byte {kind:#x} at {at - 1}; nil, booleans, numbers, text, bytes, arrays "
-                              "and maps are allowed")
+            raise BundleError(f"the description has the byte {kind:#x} at {at - 1}; nil, booleans, integers, float 64, text, bytes, "
+                              "arrays and maps are allowed")
     if claimed > end:
         raise BundleError(f"the description claims more than its {end} bytes can hold")
+    if claimed > most:
+        raise BundleError(f"the description has more than {most} items; a bundle has no need of so many")
     if at > end:
         raise BundleError("the description ends within a value")
 

@@ -16,6 +16,10 @@ MAX_PARTS = 1024  # attachments and subpasses of a pass, bindings of a pipeline
 MAX_COLORS = 128
 MAX_NEEDS = 16
 MAX_META_DEPTH = 16
+MAX_VARIANTS = 16
+# What a user or a checkpoint knows of a bundle, in which its variants agree.
+SEEN = {"values": ("name", "role", "type", "layout", "width", "height", "count", "columns", "initial"),
+        "plans": ("name", "updates", "outputs", "steps")}
 NEEDS_LIMITS = ("maxImageDimension2D", "maxFramebufferWidth", "maxFramebufferHeight", "maxColorAttachments",
                 "maxFragmentOutputAttachments", "maxFragmentCombinedOutputResources", "maxPerStageResources",
                 "maxDescriptorSetSamplers", "maxDescriptorSetSampledImages", "maxDescriptorSetInputAttachments",
@@ -145,6 +149,36 @@ def check_description(d) -> None:
             raise BundleError(f"plans[{k}].name {_show(plan['name'])} is taken")
         names.add(plan["name"])
     _dataflow(d)
+
+
+def check_variants(d) -> list[dict]:
+    """The description of each variant of a file of several, each well formed and for a profile of its own, of equal values and
+    plans. Raises BundleError."""
+    _map("description", d, ("variants", "blobs"))
+    if len(_list("variants", d["variants"], most=MAX_VARIANTS)) < 2:
+        _fail("variants", d["variants"], f"2 to {MAX_VARIANTS} are needed")
+    found: dict[str, dict] = {}
+    for k, variant in enumerate(d["variants"]):
+        if type(variant) is not dict or "blobs" in variant:
+            _fail(f"variants[{k}]", variant, "a map without blobs is needed")
+        whole = {**variant, "blobs": d["blobs"]}
+        try:
+            check_description(whole)
+        except BundleError as e:
+            raise BundleError(f"variants[{k}]: {e}") from None
+        name = variant["profile"]["name"]
+        if name in found:
+            raise BundleError(f"variants[{k}].profile.name {_show(name)} is taken")
+        found[name] = whole
+        for key, fields in SEEN.items():
+            first = d["variants"][0][key]
+            if len(variant[key]) != len(first):
+                _fail(f"variants[{k}].{key}", variant[key], f"variants[0] has {len(first)}")
+            for j, (x, y) in enumerate(zip(variant[key], first)):
+                for field in fields:
+                    if x[field] != y[field]:
+                        _fail(f"variants[{k}].{key}[{j}].{field}", x[field], f"that of variants[0] is {_show(y[field])}")
+    return list(found.values())
 
 
 def _needs(needs) -> None:
@@ -284,8 +318,10 @@ def _plan(where, plan, number, d) -> None:
     low = 0
     for k, x in enumerate(_list(f"{where}.needs", plan["needs"], most=MAX_NEEDS)):
         low = _number(f"{where}.needs[{k}]", x, low, number - 1) + 1
-        if d["plans"][x]["needs"] or d["plans"][x]["updates"]:
-            raise BundleError(f"{where}.needs[{k}]: plans[{x}] itself needs or updates something")
+        if d["plans"][x]["updates"]:
+            raise BundleError(f"{where}.needs[{k}]: plans[{x}] updates something")
+        if missing := set(d["plans"][x]["needs"]).difference(plan["needs"][:k]):
+            raise BundleError(f"{where}.needs[{k}]: plans[{x}] needs plans[{min(missing)}], which is not among them")
     for k, stage in enumerate(_list(f"{where}.stages", plan["stages"])):
         _stage(f"{where}.stages[{k}]", stage, d)
 

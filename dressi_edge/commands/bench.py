@@ -9,7 +9,7 @@ from .files import print_json
 
 def bench(args) -> None:
     from .. import runtime
-    with runtime.load(args.bundle, args.device, emulate=args.emulate) as session:
+    with runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile) as session:
         d = session.bundle.description
         counts, results = summary(d), {}
         for plan in d["plans"]:
@@ -20,7 +20,7 @@ def bench(args) -> None:
             results[name] = {**counts[name], "ms": sum(ms), "stage_ms": ms}
             if plan["updates"]:
                 results[name]["step_ms"] = _step(session, name, args.runs)
-        report = {"device": session.device.name, "driver": session.device.driver, "profile": d["profile"]["name"],
+        report = {"device": session.device.name, "driver": session.device.driver, "profile": session.bundle.profile,
                   "plans": results}
     if args.json:
         print_json(report)

@@ -9,27 +9,30 @@ from .files import print_json
 def inspect(args) -> None:
     from ..cache import bundle
     from ..cache.summary import dot, summary, text
-    description = bundle.read(args.bundle).description
+    variants = bundle.read(args.bundle).variants
     if args.json:
-        print_json({description["profile"]["name"]: summary(description)})
+        print_json({b.profile: summary(b.description) for b in variants})
     else:
-        sys.stdout.write(dot(description) if args.dot else text(description))
+        show = dot if args.dot else text
+        sys.stdout.write("\n".join(show(b.description) for b in variants))
 
 
 def verify(args) -> None:
     from ..cache import bundle
     found = bundle.read(args.bundle, pin=args.pin)
-    d = found.description
+    d, fits = found.description, ""
     if args.profile is not None:
         from ..cache.errors import BundleError
         from ..cache.profile import Profile
         from ..cache.verify import violations
         profile = Profile.load(args.profile)
-        if lines := violations(d, profile, found.interfaces):
-            raise BundleError(f"{args.bundle} does not fit profile {profile.name} in {len(lines)} places; "
-                              f"the first: {lines[0]}")
-    print(f"OK {args.bundle}: profile {d['profile']['name']}, {len(d['plans'])} plans, {len(d['blobs'])} blobs, "
-          f"sha256 {found.digest}")
+        lines = {b.profile: violations(b.description, profile, b.interfaces) for b in found.variants}
+        if all(lines.values()):
+            raise BundleError(f"{args.bundle} does not fit profile {profile.name}: " + "; ".join(
+                f"{name} in {len(x)} places, the first: {x[0]}" for name, x in lines.items()))
+        fits = f" ({next(name for name, x in lines.items() if not x)} fits {profile.name})"
+    print(f"OK {args.bundle}: profile {' '.join(b.profile for b in found.variants)}{fits}, {len(d['plans'])} plans, "
+          f"{len(d['blobs'])} blobs, sha256 {found.digest}")
 
 
 def devices(args) -> None:

@@ -12,18 +12,20 @@ from .files import check_folder, print_json
 
 def compile_job(args) -> None:
     check_folder(args.output)
-    profile = Profile.load(args.profile)
+    profiles = [Profile.load(name) for name in args.profile]
     from ..compiler.job import load_job
     start = time.perf_counter()
-    description = load_job(args.job).compile(profile, args.output)
+    description = load_job(args.job).compile(profiles, args.output)
     seconds = time.perf_counter() - start
-    plans = summary(description)
+    variants = description.get("variants", [description])
+    plans = {d["profile"]["name"]: summary(d) for d in variants}
     if args.json:
-        print_json({profile.name: plans})
+        print_json(plans)
         return
-    phases = " ".join(f"{name} ({steps} steps)" for name, steps in description["meta"]["phases"])
-    print(f"{args.output}: {os.path.getsize(args.output) / 1e6:.2f} MB for profile {profile.name}, phases {phases}, "
-          f"{len(description['pipelines'])} pipelines, made in {seconds:.1f} s")
-    for name, row in plans.items():
-        print(f"  {name}: " + ", ".join(f"{row[key]} {key}" for key in ("functions", "substages", "stages", "pipelines")))
+    phases = " ".join(f"{name} ({steps} steps)" for name, steps in variants[0]["meta"]["phases"])
+    print(f"{args.output}: {os.path.getsize(args.output) / 1e6:.2f} MB, phases {phases}, made in {seconds:.1f} s")
+    for d in variants:
+        print(f"for profile {d['profile']['name']}, {len(d['pipelines'])} pipelines:")
+        for name, row in plans[d["profile"]["name"]].items():
+            print(f"  {name}: " + ", ".join(f"{row[key]} {key}" for key in ("functions", "substages", "stages", "pipelines")))
     sys.stdout.flush()

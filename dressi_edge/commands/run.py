@@ -85,7 +85,7 @@ def _open(args):
         raise InputError(f"{args.bundle} is a job; make a bundle of it first: "
                          f"dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
     from .. import runtime
-    return runtime.load(args.bundle, args.device, emulate=args.emulate)
+    return runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile)
 
 
 def _todo(session, args) -> list[tuple[str, int]]:
@@ -126,7 +126,7 @@ def run(args) -> int:
             if phases[name].get("interrupted"):
                 break
         metrics = {"device": session.device.name, "driver": session.device.driver,
-                   "profile": session.bundle.description["profile"]["name"], "phases": phases}
+                   "profile": session.report()["profile"], "phases": phases}
         if results:
             metrics = results.write(session, args.output, curves, before, metrics)
         elif kind:

@@ -5,9 +5,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 from ..cache import bundle as _bundle
 from ..cache import vulkan as _v
+from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
+from ..cache.errors import ProfileError
 from ..cache.profile import Profile
 from . import ops as _ops  # noqa: F401  (fills the op table)
 from .inspect import count_functions, trace
@@ -30,13 +33,23 @@ def describe(program: Program, profile: Profile, *, naive: bool = False, cache: 
     return description, assembler
 
 
-def compile_program(program: Program, profile: Profile | str, path: str | os.PathLike, *, naive: bool = False,
-                    cache: bool = True, stage_packing: bool = True) -> dict:
-    """Compile for a profile (or its name) and write the bundle; its description. `naive`: one function a pass; `cache=False`: no
-    reactive cache; `stage_packing=False`: one substage a pass. Raises GraphError, PackError, ProfileError, BundleError."""
-    if not isinstance(profile, Profile):
-        profile = Profile.load(profile)
-    description, assembler = describe(program, profile, naive=naive, cache=cache, stage_packing=stage_packing)
-    trace(description, assembler)
-    _bundle.write(path, description, assembler.blobs)
+def compile_program(program: Program, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, *,
+                    naive: bool = False, cache: bool = True, stage_packing: bool = True) -> dict:
+    """Compile for a profile (or its name) and write the bundle; its description. For a list of profiles, best first, one bundle
+    with a variant for each: {"variants": [description]}. `naive`: one function a pass; `cache=False`: no reactive cache;
+    `stage_packing=False`: one substage a pass. Raises GraphError, PackError, ProfileError, BundleError."""
+    chosen = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
+    profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in chosen]
+    names = [p.name for p in profiles]
+    if not 0 < len(names) <= _MAX_VARIANTS:
+        raise ProfileError(f"{len(names)} profiles; a bundle is compiled for 1 to {_MAX_VARIANTS}")
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise ProfileError(f"profile {twice[0]} is given twice; each variant of a bundle needs one of another name")
+    made = []
+    for p in profiles:
+        description, assembler = describe(program, p, naive=naive, cache=cache, stage_packing=stage_packing)
+        trace(description, assembler, p.name if len(profiles) > 1 else "")
+        made.append((description, assembler.blobs))
+    description, blobs = made[0] if len(made) == 1 else _bundle.combine(made)
+    _bundle.write(path, description, blobs)
     return description

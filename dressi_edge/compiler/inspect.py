@@ -36,8 +36,9 @@ def glsl_text(assembler) -> str:
     return "\n".join(f"// shader {k} ({stage})\n{source}" for k, (stage, source) in enumerate(assembler.shaders))
 
 
-def trace(description: dict, assembler) -> None:
-    """What DRESSI_DEBUG asks for (1 a summary, 2 the substages, 3 the GLSL) on stderr; all of it as files in $DRESSI_DUMP."""
+def trace(description: dict, assembler, variant: str = "") -> None:
+    """What DRESSI_DEBUG asks for (1 a summary, 2 the substages, 3 the GLSL) on stderr; all of it as files in $DRESSI_DUMP, of
+    several variants in a folder each."""
     level, folder = os.environ.get("DRESSI_DEBUG", ""), os.environ.get("DRESSI_DUMP")
     level = int(level) if level.isdecimal() else 0
     if level >= 1:
@@ -47,6 +48,7 @@ def trace(description: dict, assembler) -> None:
     if level >= 3:
         sys.stderr.write(glsl_text(assembler))
     if folder:
+        folder = os.path.join(folder, variant)
         try:
             Path(folder).mkdir(parents=True, exist_ok=True)
             for name, content in (("summary.txt", text(description)), ("stages.txt", stages_text(assembler)),

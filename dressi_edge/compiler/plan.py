@@ -14,12 +14,12 @@ from ..cache.layout import Layout
 from ..cache.profile import Profile
 from . import emit, spirv
 from .guard import find_guard
-from .ir import CHANNELS, Node, is_int
+from .ir import CHANNELS, Node, is_int, topological
 from .optable import apply
 from .pack import Stage, merged_reads, pack
 from .program import PlanSpec, Program, extent_of
 from .simplify import lower, simplify
-from .specialize import specialize
+from .specialize import prepare, specialize
 
 
 def format_number(vtype: str) -> int:
@@ -55,6 +55,7 @@ class Assembler:
         self.free: dict[tuple, list[int]] = {}
         self.states: dict[str, int] = {}
         self.plans: list[dict] = []
+        self.prepared: dict[Node, int] = {}  # cached leaf -> the plan that fills it
         self.stage_lists: list[tuple[str, list[Stage]]] = []
 
     def blob(self, data: bytes) -> int:
@@ -111,17 +112,23 @@ class Assembler:
                 "values": values, "plans": self.plans}
 
     def _group(self, specs: list[PlanSpec]) -> None:
-        """The plans of a group, after the one that computes what they share and nothing of theirs changes."""
+        """The plans of a group, after those that compute what they share and nothing of theirs changes."""
         rooted = [simplify(lower([*spec.updates.values(), *spec.outputs.values()])) for spec in specs]
-        needs = []
         if self.cache:
             cached: dict[Node, Node] = {}
             rooted = [specialize(roots, spec.dynamic, spec.group, cached) for spec, roots in zip(specs, rooted)]
-            if cached:
-                self._run(f"{specs[0].group}.prepare", list(cached), [(self.leaf(x), 0) for x in cached.values()], [], [], 0)
-                needs = [len(self.plans) - 1]
+            beforehand = prepare(specs[0].group, cached)
+            for k, (roots, leaves) in enumerate(beforehand, 1):
+                name = f"{specs[0].group}.prepare" + (f".{k}" if k < len(beforehand) else "")
+                self._run(name, roots, [(self.leaf(x), 0) for x in leaves], [], [], 0, self._needs(roots))
+                self.prepared.update(dict.fromkeys(leaves, len(self.plans) - 1))
         for spec, roots in zip(specs, rooted):
-            self._plan(spec, roots, needs)
+            self._plan(spec, roots, self._needs(roots))
+
+    def _needs(self, roots: list[Node]) -> list[int]:
+        """The plans that fill the cached leaves under these roots, and those that these need in turn."""
+        direct = {self.prepared[n] for n in topological(roots) if n in self.prepared}
+        return sorted(direct.union(*(self.plans[k]["needs"] for k in direct)))
 
     def _plan(self, spec: PlanSpec, roots: list[Node], needs: list[int]) -> None:
         names = [*spec.updates, *spec.outputs]

@@ -43,9 +43,10 @@ class Pipelines:
         subpasses = []
         for s in p["subpasses"]:
             depth = {} if s["depth"] < 0 else {"pDepthStencilAttachment": vk.VkAttachmentReference(s["depth"], general)}
+            unused = set(range(len(attachments))) - {*s["colors"], *s["inputs"], s["depth"]}
             subpasses.append(vk.VkSubpassDescription(
                 pipelineBindPoint=vk.VK_PIPELINE_BIND_POINT_GRAPHICS, pColorAttachments=[(a, general) for a in s["colors"]],
-                pInputAttachments=[(a, general) for a in s["inputs"]], **depth))
+                pInputAttachments=[(a, general) for a in s["inputs"]], pPreserveAttachments=sorted(unused), **depth))
         dependencies = [vk.VkSubpassDependency(
             k, k + 1, vk.VK_PIPELINE_STAGE_COLOR_ATTACHMENT_OUTPUT_BIT, _ALL_PIPELINE_STAGES, vk.VK_ACCESS_COLOR_ATTACHMENT_WRITE_BIT,
             vk.VK_ACCESS_INPUT_ATTACHMENT_READ_BIT | vk.VK_ACCESS_COLOR_ATTACHMENT_WRITE_BIT, vk.VK_DEPENDENCY_BY_REGION_BIT)

@@ -24,14 +24,8 @@ class Plan:
     def __init__(self, record: dict, description: dict):
         plans, values = description["plans"], description["values"]
         self.name, self.record, self.kept = record["name"], record, False
-        reads: dict[str, None] = {}
-
-        def visit(plan: dict) -> None:
-            reads.update(dict.fromkeys(values[k]["name"] for k in plan["reads"]))
-            for k in plan["needs"]:
-                visit(plans[k])
-
-        visit(record)
+        # what the needed plans need is among those it needs
+        reads = dict.fromkeys(values[k]["name"] for plan in (record, *(plans[k] for k in record["needs"])) for k in plan["reads"])
         self.reads, self.needs = tuple(reads), tuple(plans[k]["name"] for k in record["needs"])
         inputs = {value["name"] for value in values if value["role"] == "input"}
         self.inputs = tuple(name for name in reads if name in inputs)

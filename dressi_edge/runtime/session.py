@@ -16,7 +16,7 @@ from . import checkpoint as checkpoints
 from . import vk
 from .device import Device
 from .emulate import EmulatedDevice
-from .fit import fit
+from .fit import choose
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
@@ -30,16 +30,19 @@ MAX_SUBMIT = 1 << 16  # iterations in one submission
 
 
 def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None = None, *, validation: bool = False,
-         emulate: Profile | str | os.PathLike | None = None) -> Session:
+         emulate: Profile | str | os.PathLike | None = None, profile: str | None = None) -> Session:
     """Open a bundle on a device (an open one, or a part of its name; default $DRESSI_DEVICE or the best). `emulate`: a profile
-    (or its name) whose limits, features and formats the device reports and enforces as if they were its own. BundleError if the
-    file is wrong, DeviceError if there is no device or the bundle does not fit it, ProfileError if there is no such profile."""
+    (or its name) whose limits, features and formats the device reports and enforces as if they were its own. Of several
+    variants the first that fits is taken, or the one made for `profile`. BundleError if the file is wrong, DeviceError if there
+    is no device or the bundle does not fit it, ProfileError if there is no such profile, InputError if no variant is made for
+    it."""
     bundle = bundles.read(path)
     if emulate is not None and not isinstance(emulate, Profile):
         emulate = Profile.load(emulate)
     opened = device if isinstance(device, Device | EmulatedDevice) else Device.open(device, validation=validation)
     try:
-        return Session(bundle, opened if emulate is None else EmulatedDevice(opened, emulate), owns_device=opened is not device)
+        seen = opened if emulate is None else EmulatedDevice(opened, emulate)
+        return Session(bundle, seen, owns_device=opened is not device, profile=profile)
     except BaseException:
         if opened is not device:
             opened.close()
@@ -73,17 +76,19 @@ def _serial(method):
 
 
 class Session:
-    """A context manager. Calls from several threads run one after another; docs/embedding.md tells what each error leaves."""
+    """A context manager. Calls from several threads run one after another; docs/embedding.md tells what each error leaves.
+    `bundle`: the variant that runs, of those of the one that was given."""
 
-    def __init__(self, bundle, device: Device | EmulatedDevice, owns_device: bool = False):
-        self.bundle, self.device, self._owns_device = bundle, device, owns_device
-        self._d = bundle.description
+    def __init__(self, bundle: bundles.Bundle, device: Device | EmulatedDevice, owns_device: bool = False,
+                 profile: str | None = None):
+        self.device, self._owns_device = device, owns_device
         self._process = os.getpid()
         self._lock, self._waiting, self._closed = threading.RLock(), set(), ""  # why it is closed
         self._images = self._pipelines = self._staging = self._store = self._work = None
         if device.process != self._process:
             raise DeviceError("the device was opened before this process was forked; open another")
-        self._depth_format = fit(bundle, device)
+        self.bundle, self._depth_format, self._why = choose(bundle.variants, device, profile)
+        self._d = self.bundle.description
         self.values = {value["name"]: value for value in self._d["values"]}
         self._layouts = {name: _layout(value) for name, value in self.values.items()}
         self.plans = {plan["name"]: plan for plan in self._d["plans"]}
@@ -231,17 +236,24 @@ class Session:
                 self._run_if_changed(plan)
             elif not self._runs[plan.name]:
                 raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
+        elif not self._given.get(value["name"], True):
+            raise InputError(f"{value['name']} has no value yet; set it first")
         return download(self._work, self._staging, [self._handle(value["image"])])[0]
 
     # ---- running
 
-    def _run_if_changed(self, plan: Plan) -> None:
+    def _run_if_changed(self, plan: Plan, prepared: bool = False) -> None:
         versions = tuple(map(self._version.__getitem__, plan.reads))
         if self._seen.get(plan.name) == versions:
             self._skipped[plan.name] += 1
         else:
-            self._run(plan, 1)
+            self._run(plan, 1, prepared)
             self._seen[plan.name] = versions
+
+    def _prepare(self, plan: Plan) -> None:
+        """Bring what the plan needs up to date, in order: what one of them needs comes before it."""
+        for name in plan.needs:
+            self._run_if_changed(self._plans[name], prepared=True)
 
     def _ready(self, plan: Plan) -> None:
         missing = [name for name in plan.inputs if not self._given[name]]
@@ -260,11 +272,11 @@ class Session:
         return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
                          timestamps)
 
-    def _run(self, plan: Plan, n: int) -> None:
+    def _run(self, plan: Plan, n: int, prepared: bool = False) -> None:
         self._ready(plan)
         self._work.settle()
-        for name in plan.needs:
-            self._run_if_changed(self._plans[name])
+        if not prepared:
+            self._prepare(plan)
         commands = [self._recording(plan).commands]
         if plan.states and n > 1:
             commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
@@ -343,8 +355,7 @@ class Session:
         """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps."""
         plan = self._plans[name]
         self._ready(plan)
-        for needed in plan.needs:
-            self._run_if_changed(self._plans[needed])
+        self._prepare(plan)
 
         def record(timestamps: int) -> Recording:
             return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
@@ -374,9 +385,9 @@ class Session:
         checkpoints.write(path, checkpoints.dumps(self._snapshot(), self.bundle.digest))
 
     def restore(self, path: str | os.PathLike) -> None:
-        """Take the values and counters of a checkpoint of the same bundle; what follows is bit-identical to what followed
-        there on the same device. Raises InputError if there is no such file, BundleError if it is damaged or of another bundle;
-        nothing has changed then."""
+        """Take the values and counters of a checkpoint of the same bundle, of whichever variant; what follows is bit-identical
+        to what followed there on the same device and variant. Raises InputError if there is no such file, BundleError if it is
+        damaged or of another bundle; nothing has changed then."""
         self._usable()
         sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
         found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
@@ -392,9 +403,10 @@ class Session:
 
     @_serial
     def report(self) -> dict:
-        """What ran how often and how often it did not need to, and what the session occupies."""
+        """Which variant was taken and why, what ran how often and how often it did not need to, what the session occupies."""
         self._work.settle()
-        return {"device": self.device.name, "driver": self.device.driver_info, "profile": self._d["profile"]["name"],
+        return {"device": self.device.name, "driver": self.device.driver_info, "profile": self.bundle.profile,
+                "variants": dict(self._why),
                 "runs": dict(self._runs), "skipped": {n: k for n, k in self._skipped.items() if not self.plans[n]["updates"]},
                 "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
                 "pipelines": len(self._d["pipelines"]), "pipeline_cache": self._store.state, "time": time.time()}

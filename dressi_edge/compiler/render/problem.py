@@ -253,8 +253,8 @@ class Problem:
             layout = Layout("atlas", "float", self.width, self.height, n, atlas.columns)
             self.program.plan(name, outputs={f"{name}.silhouette": (alpha, layout)})
 
-    def compile(self, profile: Profile | str, path: str | os.PathLike, **options) -> dict:
-        """Write the bundle; its description. See `compiler.compile_program`."""
+    def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
+        """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`."""
         from .. import compile_program
         from ..results import record
         if not self.program.plans:
