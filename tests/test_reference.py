@@ -68,15 +68,15 @@ def layers_of(scene, layers):
     topology = Topology(np.asarray(scene.faces), len(scene.clip))
     clip, atlas = constant(to_table(scene.clip), table(len(scene.clip))), Atlas(w, h, 1, 1)
     found = {}
-    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, folds=False)):
+    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, distance="face")):
         for n in topological([layer.face for layer in rasterized(clip, topology, atlas, softness, scene.near).layers]):
             if n.op.stage == "raster":
                 found.setdefault(n.op.name, []).append(n)
-    *peels, single, folds = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
-                                      *found["rasterize_folds"]])
+    *peels, single, hard = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
+                                     *found["rasterize_hard"]])
     assert len(peels) == layers
     np.testing.assert_array_equal(single[..., 0], peels[0][..., 0])
-    np.testing.assert_array_equal(folds, single)
+    np.testing.assert_array_equal(hard, np.where((single >= 0) & (single & 1 == 1), single >> 1, -1))
     return np.stack([p[..., 0] for p in peels], 2)
 
 

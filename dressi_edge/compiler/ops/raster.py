@@ -180,12 +180,16 @@ op("rasterize_segments", "segments entries count", infer=_code(1), reads="vertex
                vertices=(3, "slots"), count="count"),),
    doc="For each pixel the slot of the nearest listed segment within `radius` in its cell, the first of equals; -1 where there is none.")
 
+
+def _tiles_sample(rng):
+    tiles = np.array([[0, 1, 1], [0, 0, 1]])[..., None]
+    listed = np.array([[1, 2, 5, -1], [-1, -1, -1, -1]])[..., None]
+    return [rng.integers(-1, 9, (20, 35, 1)), tiles, listed, np.full((1, 1, 1), 18)], {"tile": (16, 16)}
+
+
 op("within_tiles", "code tiles list count", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absent=((1, -1),),
-   reads="own tile tile_list count", ref=lambda code, tiles, list, count, tile: np.where(
-       spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
-   glsl="{y} = {tiles} != 0 ? {code} : -1;", cost=40,
-   sample=lambda rng: ([rng.integers(-1, 9, (20, 35, 1)), rng.integers(0, 2, (2, 3, 1)), np.zeros((2, 3, 1), np.int64),
-                        np.zeros((1, 1, 1), np.int64)], {"tile": (16, 16)}),
+   reads="own tile tile_list count", cost=40, glsl="{y} = {tiles} != 0 ? {code} : -1;", sample=_tiles_sample,
+   ref=lambda code, tiles, list, count, tile: np.where(spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
    doc="A code inside the tiles that are marked, -1 outside: what depends on it is drawn for the listed tiles alone.")
 
 op("outline", "code slot segment position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absorbs_negative=(1,),
