@@ -1211,8 +1211,11 @@ static void create_images(void) {
         places[k].offset = divided(sizes[places[k].type], needs.alignment) * needs.alignment;
         sizes[places[k].type] = places[k].offset + needs.size;
     }
-    for (uint32_t k = 0; k < gpu.memory.memoryTypeCount; k++)
+    for (uint32_t k = 0; k < gpu.memory.memoryTypeCount; k++) {
+        uint64_t heap = gpu.memory.memoryHeaps[gpu.memory.memoryTypes[k].heapIndex].size;
+        if (sizes[k] > heap) die("the images need %.1f MB; the device has %.1f MB", sizes[k] / 1e6, heap / 1e6);
         if (sizes[k]) gpu.blocks[k] = allocate(sizes[k], k);
+    }
     for (uint32_t k = 0; k < 2 * bundle.image_count; k++) {
         Image *image = bundle.images + k / 2;
         VkImage handle = image->handle[k % 2];
