@@ -152,7 +152,7 @@ def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> 
     return apply("lookup", entries, index) if box is None else apply("lookup_boxed", entries, index, box)
 
 
-def _lookup_ref(entries, index, *_):
+def _lookup_ref(entries, index, *_, **attrs):
     flat = entries.reshape(-1, entries.shape[2])
     return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
 
