@@ -111,7 +111,7 @@ def problem(softness, norm, texture_grad="exact"):
 
 
 PROBLEMS = {"K=1": lambda: problem(Softness(2.0), "l2"), "K=3": lambda: problem(Softness(3.0, sigma=1.0, layers=3), "l1"),
-            "sharp": lambda: problem(Softness(1.0, sigma=1e-6, delta=4.0, folds=False), "l2", "inverse_uv")}
+            "sharp": lambda: problem(Softness(1.0, sigma=1e-6, delta=4.0), "l2", "inverse_uv")}
 
 
 def broken(session, seed, steps=2):

@@ -63,16 +63,29 @@ def states():
                ("step", "walk", 2), *seen]
 
 
-def silhouette():
-    """The silhouette of two triangles in three views of an atlas: draws with depth test and a viewport a cell."""
+def _quads(distance):
+    """Two triangles in three views of an atlas; what is set on them."""
     p, count = Program(), 4
     clip = p.input("clip", Layout("table", "vec4", count=3 * count))
     faces = np.array([(0, 1, 2), (0, 2, 3)])
-    layers = rasterized(clip, Topology(faces, count), Atlas(16, 12, 3, 2), Softness(2.0, layers=1), 0.1)
-    p.plan("render", {}, {"covered": (layers.stencil, Layout("atlas", "int", 16, 12, 3, 2))})
+    layers = rasterized(clip, Topology(faces, count), Atlas(16, 12, 3, 2), Softness(2.0, distance=distance), 0.1)
     quad = np.array([(-1.03, -1.11, 1, 2), (1.17, -1.09, 1, 2), (0.93, 1.21, 1.4, 2.5), (-0.71, 1.07, 1.4, 2.5)])
     views = np.concatenate([quad, quad[::-1] * (0.6, 1.3, 1, 1), quad * (-0.9, 0.7, 1, 1)])
-    return p, [("set", "clip", views.astype(np.float32)), ("get", "covered")]
+    return p, layers, ("set", "clip", views.astype(np.float32))
+
+
+def silhouette():
+    """The silhouette of two triangles in three views of an atlas: draws with depth test and a viewport a cell."""
+    p, layers, given = _quads("face")
+    p.plan("render", {}, {"covered": (layers.stencil, Layout("atlas", "int", 16, 12, 3, 2))})
+    return p, [given, ("get", "covered")]
+
+
+def lists():
+    """The soft outline of two triangles in three views: lists made on the device, and draws that take their count from them."""
+    p, layers, given = _quads("outline")
+    p.plan("render", {}, {"alpha": (layers.silhouette(), Layout("atlas", "float", 16, 12, 3, 2))})
+    return p, [given, ("get", "alpha")]
 
 
 def texture():
@@ -106,8 +119,9 @@ def subpasses():
 
 
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
-TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, texture, variants, subpasses)}
+TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "lists": 1e-4,
+             "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, variants, subpasses)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 
 

@@ -17,11 +17,13 @@ import pytest
 from test_session import STATES, bits, cacheable, walk
 
 from dressi_edge import runtime
+from dressi_edge.cache import bundle as bundles
 from dressi_edge.cache.errors import BundleError, DeviceError, InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.runtime import checkpoint as checkpoints
 from dressi_edge.runtime import vk
+from dressi_edge.runtime.memory import image_bytes
 
 pytest_plugins = ["gpu"]
 
@@ -279,6 +281,26 @@ def test_memory_that_is_not_there_is_said_when_loading(gpu, bundle, monkeypatch,
         m.setattr(vk, call, full)
         with pytest.raises(DeviceError, match="no memory for the images of this bundle"):
             runtime.load(bundle, gpu.device)
+    gpu.silent()
+
+
+def test_images_beyond_the_memory_of_the_device_are_refused_before_any_is_made(gpu, bundle, monkeypatch):
+    """First by their texels, which every device needs at least; then by what the driver asks for them."""
+    images = bundles.read(bundle).description["images"]
+    texels = sum(image_bytes(r) * r["slots"] for r in images)
+
+    def called(*_):
+        raise AssertionError("something was made")
+
+    for size, forbidden, told in ((texels - 1, "CreateImage", "its images need .* MB; llvmpipe.* has .* MB of memory for them"),
+                                  (texels, "AllocateMemory", "images of this bundle need .* MB; llvmpipe.* has .* MB .heap 0.; compile")):
+        with monkeypatch.context() as m:
+            m.setattr(gpu.device, "heaps", [(size, 1)])
+            m.setattr(vk, forbidden, called)
+            with pytest.raises(DeviceError, match=told):
+                runtime.load(bundle, gpu.device)
+            with pytest.raises(DeviceError, match=told.replace("llvmpipe.*", "llvmpipe.* as lavapipe")):
+                runtime.load(bundle, gpu.device, emulate="lavapipe")
     gpu.silent()
 
 

@@ -22,7 +22,7 @@ pytest_plugins = ["gpu"]
 
 INSTALLED_BYTES = 400_000  # of Python, the generated binding included
 IMPORTS = 100  # modules beyond those of numpy and msgpack
-RSS_GROWTH = 24 << 20  # over all cycles: what allocators keep, not what a session holds
+RSS_GROWTH = 4 << 20  # over the second half of the cycles: noise
 
 
 @pytest.fixture(scope="module")
@@ -31,39 +31,45 @@ def bundle(gpu):
 
 
 CYCLES = """
-import gc, os, sys
+import ctypes, gc, os, sys
 from dressi_edge import runtime
 from dressi_edge.runtime.device import Device
+trim = getattr(ctypes.CDLL(None), "malloc_trim", bool)  # what the allocator keeps is nobody's leak
 def rss():
+    trim(0)
     with open("/proc/self/statm") as f:
         return int(f.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-with Device.open("llvmpipe", validation=sys.argv[3] == "layer") as device:
+with Device.open("llvmpipe", validation=sys.argv[3] == "synchronization") as device:
     def cycles(count):
         for _ in range(count):
             with runtime.load(sys.argv[1], device) as s:
                 s.step(3)
                 s.get("picture")
         gc.collect()
-    cycles(50)
+    count = int(sys.argv[2]) // 2
+    cycles(count)
     before = rss()
-    cycles(int(sys.argv[2]))
+    cycles(count)
     print(rss() - before)
 sys.exit("\\n".join(device.messages) or None)
 """
 
 PROC = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc here to read the memory of a process from")
+LAYER = {"VK_INSTANCE_LAYERS": "VK_LAYER_KHRONOS_validation"}  # without a messenger it writes to stdout, where a number is expected
 
 
 @PROC
 def test_200_sessions_one_after_another_leave_nothing_and_the_layer_is_silent(bundle):
-    assert int(python(CYCLES, bundle, 200, "layer")) < RSS_GROWTH
+    assert int(python(CYCLES, bundle, 200, "synchronization")) < RSS_GROWTH
 
 
 @PROC
 @pytest.mark.full
-def test_1000_sessions_one_after_another_leave_nothing(bundle):
-    """Without the layer, so that only our memory and the driver's counts."""
-    assert int(python(CYCLES, bundle, 1000, "alone")) < RSS_GROWTH
+@pytest.mark.parametrize("checks, environment, growth", [("alone", {}, RSS_GROWTH), ("objects", LAYER, RSS_GROWTH),
+                                                         ("synchronization", {}, 20 << 20)])
+def test_1000_sessions_one_after_another_leave_nothing(bundle, checks, environment, growth):
+    """Over the last 500. Under synchronization validation the layer itself keeps 20 kB a session: docs/embedding.md."""
+    assert int(python(CYCLES, bundle, 1000, checks, **environment)) < growth
 
 
 @pytest.mark.full
@@ -71,7 +77,7 @@ def test_1000_sessions_one_after_another_leave_nothing(bundle):
 def test_a_session_is_no_garbage_that_stays(bundle):
     code = CYCLES.replace("rss() - before", "tracemalloc.get_traced_memory()[0] - start").replace(
         "before = rss()", "import tracemalloc; tracemalloc.start(); cycles(1); start = tracemalloc.get_traced_memory()[0]")
-    assert int(python(code, bundle, 50, "alone")) < 50_000
+    assert int(python(code, bundle, 100, "alone")) < 50_000
 
 
 def counted(table, kind, real, many):
@@ -84,7 +90,8 @@ def counted(table, kind, real, many):
     return call
 
 
-def test_every_object_made_is_destroyed_once(bundle, monkeypatch):
+@pytest.mark.parametrize("sessions", [1, pytest.param(1000, marks=pytest.mark.full)])
+def test_every_object_made_is_destroyed_once(bundle, monkeypatch, sessions):
     made, gone = {}, {}
     for name in dir(vk):
         for prefix, table in (("Create", made), ("Allocate", made), ("Destroy", gone), ("Free", gone)):
@@ -94,12 +101,14 @@ def test_every_object_made_is_destroyed_once(bundle, monkeypatch):
                     return len(args[2]) if table is gone and kind == "CommandBuffers" else \
                         len(result) if isinstance(result, list) else 1
                 monkeypatch.setattr(vk, name, counted(table, kind, getattr(vk, name), many))
-    with runtime.load(bundle, "llvmpipe") as s:
-        s.step(3)
-        s.get("picture")
-        s.set("rate", 0.5)
-        s.profile_stages("walk", 1)
-    made["CommandBuffers"] -= 1  # that of the transfers goes with its pool
+    with Device.open("llvmpipe") as device:
+        for _ in range(sessions):
+            with runtime.load(bundle, device) as s:
+                s.step(3)
+                s.get("picture")
+                s.set("rate", 0.5)
+                s.profile_stages("walk", 1)
+    made["CommandBuffers"] -= sessions  # those of the transfers go with their pools
     assert made == gone and len(made) > 12
 
 

@@ -20,6 +20,7 @@ from dressi_edge.compiler.ir import Node, is_int, topological
 from dressi_edge.compiler.ir import image as image_extent
 from dressi_edge.compiler.ops.arithmetic import _compare
 from dressi_edge.compiler.ops.lookup import to_table
+from dressi_edge.compiler.ops.raster_reference import segment_distance2
 from dressi_edge.compiler.optable import OPS, elementwise
 from dressi_edge.compiler.reference import evaluate
 from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
@@ -30,7 +31,7 @@ pytest_plugins = ["gpu"]
 WITHOUT_INPUTS = {"texel_index": {"extent": image_extent(6, 4)},
                   "cell_position": {"extent": image_extent(10, 12), "cell_w": 5, "cell_h": 4},
                   "cell_index": {"extent": image_extent(10, 12), "cell_w": 5, "cell_h": 4}}
-RASTER = [o for o in OPS.values() if o.stage == "raster" and o.params[:2] == ("clip", "faces")]
+RASTER = [o for o in OPS.values() if o.name.startswith("rasterize")]
 SNIPPETS = [o for o in OPS.values() if o.stage == "pixel" or o.stage == "raster" and o not in RASTER]
 GRADIENTS = [o for o in OPS.values() if o.vjp is not None]
 ids = {"ids": lambda o: o.name}
@@ -69,7 +70,7 @@ def test_every_row_has_its_place_in_these_tests():
     assert leaves == {"literal", "constant", "input", "state", "cached"}
     assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "composite"}
     assert [o.name for o in OPS.values() if o.stage == "composite"] == ["sum"]
-    assert {"rasterize", "rasterize_first", "rasterize_peel", "rasterize_folds"} == {o.name for o in RASTER}
+    assert {"rasterize", "rasterize_first", "rasterize_peel", "rasterize_hard", "rasterize_segments"} == {o.name for o in RASTER}
     tested = {o.name for o in (*SNIPPETS, *RASTER)} | leaves | {"sum"}
     assert tested == OPS.keys()
 
@@ -77,7 +78,8 @@ def test_every_row_has_its_place_in_these_tests():
 # Gradients
 
 
-UNDIFFERENTIATED = {"sample": {0}, "stop_gradient": {0}}  # inputs that by their documentation get no gradient
+# inputs that by their documentation get no gradient
+UNDIFFERENTIATED = {"sample": {0}, "stop_gradient": {0}, "lookup_near": {3, 4}, "capsule_sum": {3, 4}}
 
 
 def central(loss, feed, name, h=1e-6):
@@ -231,9 +233,10 @@ def cases():
     sparse = np.where(rng.random((20, 35, 1)) < 0.02, rng.integers(0, 6, (20, 35, 1)), -1)
     sparse[8:16, 8:24] = -1
     boxes = to_table(np.array([[0, 0, 35, 20], [3, 5, 30, 17], [8, 8, 24, 16], [9, 1, 9, 19], [34, 19, 35, 20], [0, 0, 8, 20]]))
-    occupied = OPS["occupied"].ref(sparse)
+    occupied = OPS["occupied"].ref(sparse, side=8)
     assert 0 < occupied.mean() < 1
-    out["occupied", "sparse"] = Case([sparse], {}, 0)
+    out["occupied", "sparse"] = Case([sparse], {"side": 8}, 0)
+    out["occupied", "tiles"] = Case([sparse], {"side": 16}, 0)
     out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, occupied], {}, DEFAULT_RTOL)
     out["fetch", "outside"] = Case([rng.normal(size=(4, 5, 2)), rng.integers(-9, 20, (6, 7, 2))], {}, 0)
     uv = np.array([0.0, 1.0, -1.0, 2.0, 0.5, 1 / 16, 1 - 1 / 16, -0.26, 1.37, 7.77])
@@ -351,7 +354,7 @@ def raster(gpu):
     table = to_table(np.concatenate(clips))
     clip = program.input("clip", Layout("table", "vec4", count=len(ball) * 3))
     found = topological([rasterized(clip, topology, atlas, softness, near).layers[-1].face for softness in
-                         (Softness(r), Softness(r, folds=False), Softness(r, layers=2))])
+                         (Softness(r), Softness(r, distance="face"), Softness(r, layers=2))])
     nodes = {n.op.name: n for n in found if n.op in RASTER}
     assert len(nodes) == len(RASTER)
     program.plan("p", {}, {name: (y, layout_of(y)) for name, y in nodes.items()})
@@ -359,12 +362,13 @@ def raster(gpu):
     chosen = [brute_force.select(rounded(c), faces, (w, h), r, layers=2, near=near) for c in clips]
     margin = [[s.margins.color for s in chosen], [s.margins.value for s in chosen]]
     sure = [np.block([[m[0], m[1]], [m[2], np.full((h, w), np.inf)]]) for m in margin]
-    return gpu.run(program, feed), dict(zip(nodes, evaluate(nodes.values(), feed))), sure
+    listed = evaluate(nodes["rasterize_segments"].inputs, feed)
+    return gpu.run(program, feed), dict(zip(nodes, evaluate(nodes.values(), feed))), sure, listed
 
 
-@pytest.mark.parametrize("o", RASTER, **ids)
+@pytest.mark.parametrize("o", [o for o in RASTER if o.name not in ("rasterize_hard", "rasterize_segments")], **ids)
 def test_rasterization_on_lavapipe_is_the_reference(o, raster):
-    device, reference, (clear, same_value) = raster
+    device, reference, (clear, same_value), _ = raster
     found, expected = np.atleast_3d(device[o.name]), reference[o.name]
     sure, nearly = clear > 1 / 64, same_value > 1 / 64
     assert nearly.mean() > 0.8 and (expected[..., 0][sure] >= 0).sum() > 100
@@ -383,8 +387,31 @@ def test_an_empty_cell_of_the_atlas_stays_empty(raster):
         assert (np.atleast_3d(found)[18:, 20:] == -1).all()
 
 
-def test_folds_alone_find_the_same_layer_as_every_face_enlarged(raster):
-    device, _, (_, same_value) = raster
-    a, b, nearly = device["rasterize"], device["rasterize_folds"], same_value > 1 / 64
-    np.testing.assert_array_equal((a >= 0)[nearly], (b >= 0)[nearly])
-    np.testing.assert_array_equal((a & 1)[nearly], (b & 1)[nearly])
+def test_the_hard_faces_are_those_of_the_first_layer(raster):
+    device, reference, (clear, same_value), _ = raster
+    found, first = device["rasterize_hard"], device["rasterize"]
+    sure, nearly = clear > 1 / 64, same_value > 1 / 64
+    np.testing.assert_array_equal(found[sure], reference["rasterize_hard"][..., 0][sure])
+    covered = (first >= 0) & (first & 1 == 1)
+    np.testing.assert_array_equal((found >= 0)[nearly], covered[nearly])
+    assert 100 < covered.sum() < covered.size / 2
+
+
+def test_the_nearest_listed_segment_is_found_in_every_cell(raster):
+    device, reference, _, (segments, entries, running) = raster
+    found, expected = device["rasterize_segments"], reference["rasterize_segments"][..., 0]
+    count = running.reshape(-1)[-1] // 6
+    assert 10 < count < 60 and (entries.reshape(-1)[:count] >= 0).all() and (entries.reshape(-1)[count:] == -1).all()
+    ys, xs = np.mgrid[:36, :40]
+    view = xs // 20 + ys // 18 * 2
+    p = np.stack([xs % 20 - 9.5, ys % 18 - 8.5], -1)
+    d = np.sqrt(segment_distance2(p[:, :, None], segments.reshape(-1, 4)[:count]))
+    d = np.where(entries.reshape(-1)[:count] // 30 == view[..., None], d, np.inf)
+    nearest = d.min(-1)
+    sure = np.abs(nearest - 2.5) > 1e-3
+    for slot in (found, expected):
+        np.testing.assert_array_equal((slot >= 0)[sure], (nearest < 2.5)[sure])
+        some = sure & (slot >= 0)
+        chosen = np.take_along_axis(d, np.maximum(slot, 0)[..., None], -1)[..., 0]
+        np.testing.assert_allclose(chosen[some], nearest[some], rtol=0, atol=1e-3)
+        assert some.sum() > 300

@@ -4,6 +4,8 @@ Random graphs (tests/graphs.py) are compiled for several profiles, packed and on
 with the float64 reference.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from graphs import Graph, python
@@ -13,10 +15,9 @@ from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.errors import PackError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
-from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler import Program, describe, pack
 from dressi_edge.compiler.functions import apply
 from dressi_edge.compiler.ir import topological
-from dressi_edge.compiler.pack import FORMAT_BITS
 from dressi_edge.compiler.reference import evaluate
 from dressi_edge.compiler.simplify import lower, simplify
 
@@ -89,7 +90,7 @@ def test_no_pass_asks_for_more_than_the_profile_allows(profile):
             assert count <= profile.limit(name), name
         for _, stages in assembler.stage_lists:
             for s in (s for stage in stages for s in stage.substages):
-                bits = sum(FORMAT_BITS[n.vtype] for n in s.outputs)
+                bits = sum(pack.FORMAT_BITS[n.vtype] for n in s.outputs)
                 assert not profile.tile_bits or bits <= profile.tile_bits or len(s.outputs) == 1
 
 
@@ -153,6 +154,91 @@ def test_a_function_that_fits_no_profile_is_named_with_the_limit():
     program.plan("p", {}, {"y": (x * 2.0, Layout("image", "float", 5000, 2))})
     with pytest.raises(PackError, match=r"mul.*5000 maxFramebufferWidth; profile limit4 allows 4096"):
         describe(program, Profile.load("limit4"))
+
+
+# Splitting is fast, and does what it did when it was simple
+
+
+def simple_split(nodes, outputs, profile):
+    """`pack._split` as its text says it, counting everything anew for each part that is tried."""
+    whole = pack.substage(nodes, outputs)
+    if not pack.excess(whole, profile):
+        return [whole]
+    result, stored, pending = [], set(), list(outputs)
+
+    def part(outputs):
+        return pack.substage(pack._needed([n for n in nodes if n not in stored], outputs), outputs)
+
+    while pending:
+        taken = []
+        while pending and not pack.excess(part([*taken, pending[0]]), profile):
+            taken.append(pending.pop(0))
+        if taken:
+            result.append(part(taken))
+            stored.update(taken)
+        else:
+            inside = [part([n]) for n in part(pending[:1]).nodes[:-1]]
+            fitting = [p for p in inside if p.reads and not pack.excess(p, profile)]
+            if not fitting:
+                raise PackError("nothing fits")
+            pending.insert(0, max(fitting, key=lambda p: len(p.reads)).outputs[0])
+    return result
+
+
+def tangle(size, inputs=20, seed=0):
+    """Roots of a random graph of one extent: `size` functions of two, late ones and any."""
+    program, rng, layout = Program(), np.random.default_rng(seed), Layout("image", "float", 5, 4)
+    nodes = [program.input(f"x{k}", layout) for k in range(inputs)]
+    for m in range(inputs, size + inputs):
+        nodes.append(apply(("sin", "add")[m % 2], *(nodes[int(rng.integers(low, m))] for low in (max(0, m - 99), 0)[:1 + m % 2])))
+    used = {x for n in nodes for x in n.inputs}
+    return [n for n in nodes if n not in used and n.op.stage == "pixel"]
+
+
+def tight(images, colors):
+    limit4 = Profile.load("limit4")
+    return dataclasses.replace(limit4, name="tight", limits={
+        **limit4.limits, "maxPerStageDescriptorSampledImages": images, "maxColorAttachments": colors, "maxPerStageResources": images + 3})
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_split_is_what_trying_everything_gives(seed, monkeypatch):
+    graph = Graph(seed, 60)
+    mixed = simplify(lower([n for n in graph.nodes if n.op.stage not in ("leaf", "inline")]))
+    mixed = [n for n in dict.fromkeys(mixed) if n.op.stage not in ("leaf", "inline")]
+    for roots in (mixed, tangle(120, 20, seed), [*wide(40)[0].plans[0].outputs.values()]):
+        for profile in (tight(3, 1), tight(5, 4), tight(8, 2), Profile.load("limit4"), Profile.load("mali_g76")):
+            found = []
+            for split in (pack._split, simple_split):
+                with monkeypatch.context() as patched:
+                    patched.setattr(pack, "_split", split)
+                    try:
+                        found.append(pack.pack_substages(roots, profile))
+                    except PackError:
+                        found.append("an error")
+            assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("name", ["limit4", "limit8", "unlimited", "mali_g76"])
+@pytest.mark.parametrize("make", [lambda n: tangle(n), lambda n: [*wide(n // 3)[0].plans[0].outputs.values()]], ids=["tangle", "wide"])
+def test_the_work_of_packing_grows_as_the_graph_does(monkeypatch, make, name):
+    """Counted in looks at a function's inputs and at limits; a sum over pairs of functions would grow sixteenfold."""
+    looks, profile = [0], Profile.load(name)
+
+    def counted(f):
+        def call(*args):
+            looks[0] += 1
+            return f(*args)
+        return call
+
+    for function in ("_edges", "_excess"):
+        monkeypatch.setattr(pack, function, counted(getattr(pack, function)))
+    work = []
+    for size in (900, 3600):
+        roots, looks[0] = make(size), 0
+        pack.pack_substages(roots, profile)
+        work.append(looks[0])
+    assert work[1] < 8 * work[0]
 
 
 # The same bundle every time

@@ -1,12 +1,15 @@
 """The float64 executor: what it refuses, and its rasterization against the brute-force oracle."""
 
+import inspect
+import threading
+
 import brute_force
 import numpy as np
 import pytest
 from corpus import scenes
 from graphs import Graph
 
-from dressi_edge.cache.errors import GraphError
+from dressi_edge.cache.errors import GraphError, InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.functions import constant, mean, total
@@ -14,8 +17,10 @@ from dressi_edge.compiler.ir import table, topological
 from dressi_edge.compiler.ops.lookup import to_table
 from dressi_edge.compiler.optable import OPS
 from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.reference_session import ReferenceSession
 from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.topology import Topology
+from dressi_edge.runtime.session import Session
 
 RADIUS = 3.0
 
@@ -68,15 +73,15 @@ def layers_of(scene, layers):
     topology = Topology(np.asarray(scene.faces), len(scene.clip))
     clip, atlas = constant(to_table(scene.clip), table(len(scene.clip))), Atlas(w, h, 1, 1)
     found = {}
-    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, folds=False)):
+    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, distance="face")):
         for n in topological([layer.face for layer in rasterized(clip, topology, atlas, softness, scene.near).layers]):
             if n.op.stage == "raster":
                 found.setdefault(n.op.name, []).append(n)
-    *peels, single, folds = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
-                                      *found["rasterize_folds"]])
+    *peels, single, hard = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
+                                     *found["rasterize_hard"]])
     assert len(peels) == layers
     np.testing.assert_array_equal(single[..., 0], peels[0][..., 0])
-    np.testing.assert_array_equal(folds, single)
+    np.testing.assert_array_equal(hard, np.where((single >= 0) & (single & 1 == 1), single >> 1, -1))
     return np.stack([p[..., 0] for p in peels], 2)
 
 
@@ -103,3 +108,51 @@ def test_equal_faces_are_peeled_by_index():
 
 def test_every_raster_op_has_a_reference():
     assert all(o.ref is not None for o in OPS.values() if o.stage == "raster")
+
+
+# The session
+
+
+ON_DEVICES = {"checkpoint", "restore", "profile_stages"}  # what a session has beyond this one
+
+
+@pytest.fixture
+def session():
+    p, unit = Program(), Layout("unit", "float")
+    x, rate = p.state("x", unit, 8.0), p.input("rate", unit)
+    p.plan("halve", {"x": x * 0.5}, {"halve.loss": (x * x, unit)})
+    p.plan("move", {"x": x + rate}, {})
+    return ReferenceSession(p)
+
+
+def public(cls):
+    return {name: inspect.signature(f) for name, f in vars(cls).items() if inspect.isfunction(f) and not name.startswith("_")}
+
+
+def test_it_has_the_face_of_a_session_on_a_device():
+    here, there = public(ReferenceSession), public(Session)
+    assert here.keys() == there.keys() - ON_DEVICES
+    for name, signature in here.items():
+        assert [(q.name, q.kind, q.default) for q in signature.parameters.values()] == \
+            [(q.name, q.kind, q.default) for q in there[name].parameters.values()], name
+        assert signature.return_annotation == there[name].return_annotation, name
+
+
+def test_steps_are_counted_bounded_and_cancelled(session):
+    assert session.step(2) == 2 and session.get("x") == 2.0
+    asked = iter([False, True])
+    assert session.step(10, cancel=lambda: next(asked)) == 1 and session.get("x") == 1.0
+    stop = threading.Event()
+    stop.set()
+    assert session.step(5, cancel=stop) == session.step(5, seconds=0) == session.step(0, seconds=1) == 0
+    done = session.step(10 ** 9, "halve", seconds=0.05)
+    assert 0 < done < 10 ** 9 and session.report()["runs"]["halve"] == 3 + done
+
+
+@pytest.mark.parametrize("arguments, options, message", [
+    ((-1,), {}, "0 or more"), ((1.5,), {}, "0 or more"), (("3",), {}, "0 or more"), ((1, "nothing"), {}, "no phase"),
+    ((1,), {"seconds": -1}, "seconds=-1"), ((1,), {"seconds": "1"}, "0 or more"), ((1,), {"cancel": 1}, "a function is needed")])
+def test_wrong_steps_are_refused(session, arguments, options, message):
+    with pytest.raises(InputError, match=message):
+        session.step(*arguments, **options)
+    assert session.get("x") == 8.0

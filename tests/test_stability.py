@@ -38,7 +38,7 @@ PAIR = np.array([(0, 1, 2), (3, 4, 5)])
 BASE = np.array([(-0.71, -0.62, -3.1), (0.83, -0.54, -2.7), (0.04, 0.77, -3.4)])
 BEHIND = np.array([(-0.7, -0.6, 3.1), (0.8, -0.5, 2.7), (0.0, 0.8, 3.4)])
 ATTRIBUTES = np.random.default_rng(0).uniform(size=(6, 3))
-SOFT = {"K=1": Softness(3.0), "enlarged": Softness(3.0, folds=False), "K=3": Softness(3.0, layers=3)}
+SOFT = {"K=1": Softness(3.0), "face": Softness(3.0, distance="face"), "K=3": Softness(3.0, layers=3)}
 
 
 @pytest.fixture(scope="module", params=SOFT)

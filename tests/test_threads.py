@@ -12,8 +12,9 @@ from graphs import python
 from test_session import STATES, bits, cacheable, walk
 
 from dressi_edge import runtime
+from dressi_edge.cache import steps
 from dressi_edge.cache.errors import DeviceError, InputError
-from dressi_edge.runtime import plans, vk
+from dressi_edge.runtime import vk
 
 pytest_plugins = ["gpu"]
 
@@ -167,13 +168,13 @@ def test_no_iteration_begins_that_would_end_too_late():
     class Clock:
         perf_counter = staticmethod(lambda: now[0])
 
-    real, plans.time = plans.time, Clock
+    real, steps.time = steps.time, Clock
     try:
-        assert plans.bounded(100, run, 1.0, lambda: False) == 3 and ran == [1, 1, 1]
-        assert plans.bounded(100, run, 0.1, lambda: False) == 1
-        assert plans.bounded(2, run, 1.0, lambda: False) == 2
+        assert steps.bounded(100, run, 1.0, lambda: False) == 3 and ran == [1, 1, 1]
+        assert steps.bounded(100, run, 0.1, lambda: False) == 1
+        assert steps.bounded(2, run, 1.0, lambda: False) == 2
     finally:
-        plans.time = real
+        steps.time = real
 
 
 def test_cancel_is_an_event_or_a_function(session):

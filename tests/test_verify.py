@@ -104,7 +104,7 @@ def add_stage(d, subpasses, bindings=(), size=(8, 8), cell=None, formats=()):
                            "bindings": [[kind, stages, 0 if kind == COMBINED else -1] for kind, stages in bindings]})
     images = [refs[inputs[k % len(inputs)]] if kind == INPUT else constant for k, (kind, _) in enumerate(bindings)]
     draw = {"pipeline": len(d["pipelines"]) - 1, "images": images, "vertices": 3, "cells": [list(cell or (0, 0, *size))],
-            "depth_range": [0.0, 1.0]}
+            "depth_range": [0.0, 1.0], "count": -1}
     d["plans"][-1]["stages"].append({"pass": len(d["passes"]) - 1, "width": size[0], "height": size[1], "attachments": refs,
                                      "wait": True, "subpasses": [[] for _ in subpasses[1:]] + [[draw]]})
 
@@ -433,7 +433,7 @@ HOSTILE = {
     "id at the bound": (lambda w: put(w, find(w, 61) + 3, w[3]), "; ids below "),
     "type beyond the bound": (lambda w: put(w, find(w, 23) + 1, 0xFFFFFFFF), "id 4294967295; ids from 1"),
     "type of itself": (lambda w: put(w, find(w, 23) + 2, w[find(w, 23) + 1]), "is no type defined before"),
-    "defined twice": (lambda w: put(w, find(w, 23) + 1, w[find(w, 22) + 1]), "is defined twice"),
+    "defined twice": (lambda w: put(w, find(w, 23) + 1, w[find(w, 19) + 1]), "is defined twice"),
     "unknown opcode": (lambda w: put(w, find(w, 248), 2 << 16 | 4999), "opcode 4999 is not allowed in a function"),
     "unknown declaration": (lambda w: insert(w, 54, 2 << 16 | 4999, 1), "opcode 4999 is not allowed before the functions"),
     "too few operands": (lambda w: insert(w, 54, 1 << 16 | 59), "opcode 59 has 0 operands"),

@@ -1,6 +1,7 @@
 """Writers: what is written reads back the same, pictures show what they should, and a failed write leaves the old file."""
 
 import json
+import os
 import resource
 from pathlib import Path
 
@@ -8,9 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dressi_edge.cache import bundle
 from dressi_edge.cache.errors import InputError
+from dressi_edge.commands.files import write_file
 from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, pear
 from dressi_edge.compiler.writers import contact_sheet, loss_curve, save_json, save_mesh, save_png, to_bytes
+from dressi_edge.runtime import checkpoint
 
 
 def colour_of_corners(mesh: Mesh) -> np.ndarray:
@@ -98,6 +102,23 @@ def test_a_full_disk_leaves_the_old_file_and_no_rubbish(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == ["result.png"]
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_every_file_has_the_mode_that_umask_asks_for(tmp_path, mask):
+    """A bundle that only its writer can read is of no use to the app that it was made for."""
+    old = os.umask(mask)
+    try:
+        save_json(tmp_path / "a.json", {})
+        bundle.write(tmp_path / "a.dressi", {}, [])
+        checkpoint.write(tmp_path / "a.checkpoint", [b""])
+        write_file(tmp_path / "a.txt", b"")
+        for _ in range(2):  # new, and in place of another
+            assert {f.name: oct(f.stat().st_mode & 0o777) for f in tmp_path.iterdir()} == dict.fromkeys(
+                ("a.json", "a.dressi", "a.checkpoint", "a.txt"), oct(0o666 & ~mask))
+            bundle.write(tmp_path / "a.dressi", {}, [])
+    finally:
+        os.umask(old)
 
 
 def test_json_is_sorted_and_finite(tmp_path):

@@ -13,7 +13,7 @@ from ..cache.profile import Profile
 from .guard import Guard
 from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
-from .optable import COUNT, FILTERED, OWN, TILE, TILE_LIST, VERTEX
+from .optable import COUNT, FILTERED, OWN, TILE, VERTEX
 from .pack import Substage
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
@@ -27,11 +27,11 @@ FULLSCREEN = _HEAD + """void main() {
 """
 
 
-TILES = """int tile = {which}, corner = gl_VertexIndex % 6;
+TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
 ivec2 at = ivec2(tile % {across}, tile / {across});
 vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
 vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);
-gl_Position = {drawn} ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 """
 
 
@@ -79,7 +79,6 @@ class _Emitter:
     def __init__(self, stage: Substage, profile: Profile, guard: Guard | None, inner: Collection[Node] = ()):
         self.stage, self.profile = stage, profile
         self.tiled = guard.node if guard and guard.tile else None
-        chooser = guard.listed[0] if self.tiled and guard.listed else self.tiled  # what the vertex shader reads to choose tiles
         self.bindings: list[Binding] = []
         self.slots: dict[tuple[Node, str, str], int] = {}
         vertex = {x for x, m in stage.reads if m == VERTEX}
@@ -89,13 +88,12 @@ class _Emitter:
                 mode = node.op.read(k)
                 if x.op.stage == "inline" or (mode == OWN and x in stage.nodes) or mode == COUNT:
                     continue
-                if (mode == TILE_LIST and x is not chooser) or (mode == TILE and x is self.tiled is not chooser):
-                    continue
                 sampler = mode == FILTERED and hardware_filter(x, profile)
                 key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, ATTACHMENT if x in inner else SAMPLED, "")
                 if key not in self.slots:
                     self.slots[key] = len(self.bindings)
-                    self.bindings.append(Binding(x, key[1], x in vertex or x is chooser, x in fragment and x is not chooser, key[2]))
+                    tiled = x is self.tiled
+                    self.bindings.append(Binding(x, key[1], x in vertex or tiled, x in fragment and not tiled, key[2]))
         self.values: dict[Node, str] = {}
         self.own: dict[int, None] = {}
 
@@ -139,7 +137,7 @@ class _Emitter:
                 names[param] = f"({text})" if text[0] == "-" else text
             elif mode == OWN:
                 names[param] = self.value(x)
-            elif mode in (COUNT, TILE_LIST):
+            elif mode == COUNT:
                 continue
             elif mode == TILE:
                 width, height = node.attrs["tile"]
@@ -233,16 +231,11 @@ def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
         fragment = e.fragment(e.pixel_body(guard), [])
         if guard is None or guard.tile is None:
             return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
-        tiles = guard.node.extent
-        marks = {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width, "h": stage.extent.height}
-        if guard.listed:
-            slot = e.slots[guard.listed[0], SAMPLED, ""]
-            marks |= {"which": f"E{slot}(gl_VertexIndex / 6)", "drawn": "tile >= 0"}
-        else:
-            slot = e.slots[guard.node, SAMPLED, ""]
-            marks |= {"which": "gl_VertexIndex / 6", "drawn": f"T{slot}(at) != 0"}
-        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", _mark(TILES, marks), "}", ""])
-        return [DrawCode(vertex, fragment, 6 * tiles.count, count=guard.listed and guard.listed[1])], e.bindings
+        slot, tiles = e.slots[guard.node, SAMPLED, ""], guard.node.extent
+        body = _mark(TILES, {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width,
+                             "h": stage.extent.height, "tiles": f"T{slot}"})
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", body, "}", ""])
+        return [DrawCode(vertex, fragment, 6 * tiles.count)], e.bindings
     node = stage.nodes[0]
     e.values[node] = "v0"
     attrs, draws = node.attrs, []

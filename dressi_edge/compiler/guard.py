@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .ir import Node, is_int
-from .optable import COUNT, TILE, TILE_LIST
+from .optable import TILE
 from .pack import Substage
 
 MIN_COST = 40  # work worth a test
@@ -20,14 +20,12 @@ MIN_COST = 40  # work worth a test
 @dataclass(frozen=True)
 class Guard:
     """Where `node` is 0 output k is `constants[k]` in every channel: 0, or -1 for integers. `cone`: what computes the node here.
-    `tile`: the node comes from outside and has one texel for so many of the substage's; whole tiles are then left undrawn. `listed`:
-    the list of the tiles that are not, and its running counts."""
+    `tile`: the node comes from outside and has one texel for so many of the substage's; whole tiles are then left undrawn."""
 
     node: Node
     cone: tuple[Node, ...]
     constants: tuple[int, ...]
     tile: tuple[int, int] | None = None
-    listed: tuple[Node, Node] | None = None
 
 
 def _constant(node: Node, known: dict[Node, np.ndarray]) -> np.ndarray | None:
@@ -70,13 +68,7 @@ def find_guard(stage: Substage) -> Guard | None:
     total = sum(n.op.cost for n in stage.nodes)
     conditions = {n.inputs[0] for n in stage.nodes if n.op.name == "select"}
     conditions |= {n.inputs[k] for n in stage.nodes for k, _ in n.op.absent}
-    tiles, listed = {}, {}
-    for n in stage.nodes:
-        modes = {n.op.read(k): x for k, x in enumerate(n.inputs)}
-        if TILE in modes:
-            tiles[modes[TILE]] = n.attrs["tile"]
-            if TILE_LIST in modes:
-                listed[modes[TILE]] = (modes[TILE_LIST], modes[COUNT])
+    tiles = {x: n.attrs["tile"] for n in stage.nodes for k, x in enumerate(n.inputs) if n.op.read(k) == TILE}
     best = None
     for c in sorted((c for c in conditions if is_int(c.vtype) and c.channels == 1 and (c.extent == stage.extent or c in tiles)),
                     key=lambda n: n.serial):
@@ -92,5 +84,5 @@ def find_guard(stage: Substage) -> Guard | None:
         cone = _cone(c, inside, stage.nodes) if c in inside else ()
         saved = total - sum(n.op.cost for n in cone)
         if saved >= MIN_COST and (best is None or saved > best[0]):
-            best = (saved, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c), listed.get(c)))
+            best = (saved, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
     return best and best[1]

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cache.errors import InputError
-from .render.hardsoftras import MAX_LAYERS, Softness
+from .render.hardsoftras import DISTANCES, MAX_LAYERS, Softness
 from .render.optimizer import Adam, Sgd
 from .render.problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
 from .render.schedule import Schedule
@@ -31,7 +31,7 @@ else:
 
 MAX_FILE_BYTES = 1 << 20
 SHARP = Softness(1.0, delta=0.0)  # of the plan "render": about as soft as a pixel's own area
-SOFT = ("r", "r_fraction", "sigma", "delta", "layers")
+SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
 OPTIMIZERS = {"adam": (Adam, ("rate", "betas", "epsilon")), "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
 _NEEDED = object()
 
@@ -260,7 +260,7 @@ def _soft(t: _Table) -> dict:
         raise t.conflict("r (pixels) and r_fraction (of the image's larger side) are both given; give one")
     soft = {"r": t.number("r", None, 0.0, above=True), "r_fraction": t.number("r_fraction", None, 0.0, 1.0, above=True),
             "sigma": t.number("sigma", None, 0.0, above=True), "delta": t.number("delta", None, 0.0),
-            "layers": t.number("layers", None, 1, MAX_LAYERS, whole=True)}
+            "layers": t.number("layers", None, 1, MAX_LAYERS, whole=True), "distance": t.word("distance", None, DISTANCES)}
     soft = {k: x for k, x in soft.items() if x is not None}
     if "r" in soft or "r_fraction" in soft:  # either replaces the other of an outer table
         soft = {"r": None, "r_fraction": None, **soft}
@@ -269,7 +269,7 @@ def _soft(t: _Table) -> dict:
 
 def _softness(soft: dict, side: int) -> Softness:
     r = soft["r_fraction"] * side if soft.get("r_fraction") else soft.get("r") or 2.0
-    return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1))
+    return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"))
 
 
 def _light(t: _Table) -> Light:

@@ -8,8 +8,8 @@ elsewhere two functions: `{name}(ivec2)` the texel, `{name_at}(index)` the entry
 `{i}` the own texel's row-major index and `{p}` its ivec2. A snippet may be a function of the node where types decide.
 
 An input read by tile is a coarser image, one texel for each `attrs["tile"]` = (width, height) texels of the result: where it is zero
-the op must not matter (`absent`), and whole tiles are left undrawn. Inputs read by tile_list and count are the list of the tiles that are
-not zero and its running counts (`ops/compact.py`): with them the others cost nothing. A raster op's count is that of its `Draw.count`.
+the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count is that of
+a raster op's `Draw.count`.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from ..cache.errors import GraphError
 from .ir import UNIT, Extent, Node, intern, is_int, vector_type
 
-OWN, TEXEL, FILTERED, VERTEX, TILE, TILE_LIST, COUNT = "own", "texel", "filtered", "vertex", "tile", "tile_list", "count"
+OWN, TEXEL, FILTERED, VERTEX, TILE, COUNT = "own", "texel", "filtered", "vertex", "tile", "count"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ recompute from what the reader fetches anyway are recomputed instead of stored. 
 """
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from ..cache.errors import PackError
 from ..cache.profile import Profile
 from .ir import UNIT, Extent, Node, topological
 from .ops import lookup as _lookup  # noqa: F401  (fills the op table)
-from .optable import COUNT, OWN, TILE_LIST, VERTEX
+from .optable import COUNT, FILTERED, OWN, VERTEX
 
 RECOMPUTE_COST = 24  # work a value may cost to be computed again
 FORMAT_BITS = {"float": 32, "vec2": 64, "vec3": 128, "vec4": 128, "int": 32, "ivec2": 64, "ivec3": 128, "ivec4": 128}
@@ -209,22 +210,26 @@ def pack_naive(roots: Sequence[Node], profile: Profile) -> list[Substage]:
 
 def excess(s: Substage, profile: Profile) -> list[str]:
     """What breaks a limit, one line each."""
-    sampled = {x for x, m in s.reads if m != COUNT}
-    vertex = {x for x, m in s.reads if m in (VERTEX, TILE_LIST)}
+    return _excess(profile, s.extent, s.outputs, len({x for x, m in s.reads if m != COUNT}), len({x for x, m in s.reads if m == VERTEX}),
+                   sum(m == FILTERED for _, m in s.reads))
+
+
+def _excess(profile: Profile, extent: Extent, outputs: Sequence[Node], images: int, vertex: int, filtered: int) -> list[str]:
+    """Of a substage that reads so many images, so many of them in its vertex shader, and so many through a filter."""
     counts = {
-        "maxColorAttachments": len(s.outputs), "maxFragmentOutputAttachments": len(s.outputs),
-        "maxFragmentCombinedOutputResources": len(s.outputs),
-        "maxPerStageDescriptorSampledImages": max(len(vertex), len(sampled - vertex)),
-        "maxDescriptorSetSampledImages": len(sampled),
-        "maxPerStageResources": max(len(vertex), len(sampled - vertex) + len(s.outputs)),
-        "maxPerStageDescriptorSamplers": sum(m == "filtered" for x, m in s.reads),
-        "maxFramebufferWidth": s.extent.width, "maxFramebufferHeight": s.extent.height,
-        "maxImageDimension2D": max(s.extent.width, s.extent.height),
+        "maxColorAttachments": len(outputs), "maxFragmentOutputAttachments": len(outputs),
+        "maxFragmentCombinedOutputResources": len(outputs),
+        "maxPerStageDescriptorSampledImages": max(vertex, images - vertex),
+        "maxDescriptorSetSampledImages": images,
+        "maxPerStageResources": max(vertex, images - vertex + len(outputs)),
+        "maxPerStageDescriptorSamplers": filtered,
+        "maxFramebufferWidth": extent.width, "maxFramebufferHeight": extent.height,
+        "maxImageDimension2D": max(extent.width, extent.height),
     }
     lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
              for name, found in counts.items() if found > profile.limit(name)]
-    bits = sum(FORMAT_BITS[n.vtype] for n in s.outputs)
-    if profile.tile_bits and bits > profile.tile_bits and len(s.outputs) > 1:
+    bits = sum(FORMAT_BITS[n.vtype] for n in outputs)
+    if profile.tile_bits and bits > profile.tile_bits and len(outputs) > 1:
         lines.append(f"needs {bits} tile colour bits a pixel; profile {profile.name} allows {profile.tile_bits}")
     return lines
 
@@ -236,39 +241,129 @@ def _split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Sub
     if not excess(whole, profile):
         return [whole]
     result: list[Substage] = []
-    stored: set[Node] = set()
-    pending = list(outputs)
+    cones, pending = _Cones(nodes, profile), list(outputs)
     while pending:
-        taken, kept = [], None
-        while pending:
-            trial = [*taken, pending[0]]
-            part = substage(_needed([n for n in nodes if n not in stored], trial), trial)
-            if excess(part, profile):
-                break
-            taken, kept = trial, part
-            pending.pop(0)
-        if kept is None:
-            pending.insert(0, _cut(nodes, pending[0], stored, profile))
-            continue
-        result.append(kept)
-        stored.update(taken)
+        taken: list[Node] = []
+        while pending and cones.fit([*taken, pending[0]]):
+            taken.append(pending.pop(0))
+        if taken:
+            result.append(substage(cones.nodes(taken), taken))
+            cones.store(taken)
+        else:
+            pending.insert(0, cones.cut(pending[0]))
     return result
 
 
-def _cut(nodes: list[Node], output: Node, stored: set[Node], profile: Profile) -> Node:
-    """The node inside `output`'s cone to store first: the widest one that keeps the limits."""
-    best, width = None, 0
-    inside = [n for n in nodes if n not in stored]
-    for n in _needed(inside, [output]):
-        if n is not output:
-            part = substage(_needed(inside, [n]), [n])
-            if not excess(part, profile) and len(part.reads) > width:
-                best, width = n, len(part.reads)
-    if best is None:
-        part = substage(_needed(inside, [output]), [output])
+class _Cones:
+    """What each node of a group reads from outside if it is computed with all it needs, down to what is stored.
+
+    The reads are four sets, as bits: (node, mode), nodes, nodes read in the vertex shader, through a filter; None where they alone
+    break a limit, as they then do for every node above. So storing a node changes little, and 10,000 functions take seconds.
+    """
+
+    def __init__(self, nodes: Sequence[Node], profile: Profile):
+        self.profile, self.order, self.at = profile, nodes, {n: k for k, n in enumerate(nodes)}
+        self.inputs = {n: [x for x in dict.fromkeys(x for x, _ in _edges(n)) if x in self.at] for n in nodes}
+        self.users: dict[Node, list[Node]] = {n: [] for n in nodes}
+        for n in nodes:
+            for x in self.inputs[n]:
+                self.users[x].append(n)
+        self.reads: dict[Node, tuple[int, ...] | None] = {}
+        self.numbers: dict[object, int] = {}  # of the bits: of pairs and of nodes
+        self.stored: set[Node] = set()
+        self.stale = list(range(len(nodes)))  # a heap of the nodes whose reads may have changed
+        self.output: Node | None = None  # that is being cut
+        self.live: dict[Node, int] = {}  # node of its cone -> users there
+        self.widest: list[tuple[int, int]] = []  # a heap of (-reads, number) of those that fit; old entries stay in it
+
+    def _bits(self, x: Node, mode: str) -> tuple[int, ...]:
+        pair, image = (1 << self.numbers.setdefault(key, len(self.numbers)) for key in ((x, mode), x))
+        return pair, image, image * (mode == VERTEX), image * (mode == FILTERED)
+
+    def _join(self, sets: Iterable[tuple[int, ...]], outputs: Sequence[Node]) -> tuple[int, ...] | None:
+        """The union, or None where it breaks a limit."""
+        union = (0, 0, 0, 0)
+        for bits in sets:
+            union = tuple([a | b for a, b in zip(union, bits)])
+        return None if _excess(self.profile, outputs[0].extent, outputs, *(x.bit_count() for x in union[1:])) else union
+
+    def _find(self, n: Node) -> tuple[int, ...] | None:
+        sets = []
+        for x, mode in _edges(n):
+            sets.append(self.reads[x] if x in self.at and x not in self.stored else self._bits(x, mode))
+            if sets[-1] is None:
+                return None
+        return self._join(sets, [n])
+
+    def _refresh(self, last: Node) -> None:
+        """Bring the reads of all nodes up to this one up to date."""
+        while self.stale and self.stale[0] <= self.at[last]:
+            k = heapq.heappop(self.stale)
+            n = self.order[k]
+            if n in self.stored or self.stale and self.stale[0] == k:
+                continue
+            found = self._find(n)
+            if found != self.reads.get(n, ()):
+                self.reads[n] = found
+                self._changed(n)
+                if found is not None and n in self.live:
+                    heapq.heappush(self.widest, (-found[0].bit_count(), k))
+
+    def _changed(self, n: Node) -> None:
+        for user in self.users[n]:
+            heapq.heappush(self.stale, self.at[user])
+
+    def fit(self, outputs: Sequence[Node]) -> bool:
+        """Whether a substage may give these."""
+        self._refresh(outputs[-1])
+        sets = [self.reads[n] for n in outputs]
+        return None not in sets and self._join(sets, outputs) is not None
+
+    def nodes(self, outputs: Sequence[Node]) -> list[Node]:
+        """What a substage that gives these computes, in order."""
+        keep, stack = set(outputs), list(outputs)
+        while stack:
+            for x in self.inputs[stack.pop()]:
+                if x not in keep and x not in self.stored:
+                    keep.add(x)
+                    stack.append(x)
+        return sorted(keep, key=self.at.__getitem__)
+
+    def store(self, outputs: Sequence[Node]) -> None:
+        """From now on these are read."""
+        self.stored.update(outputs)
+        for n in outputs:
+            self._changed(n)
+        gone = [n for n in outputs if self.live.pop(n, None) is not None]
+        while gone:
+            for x in self.inputs[gone.pop()]:
+                if x in self.live:
+                    self.live[x] -= 1
+                    if not self.live[x]:
+                        del self.live[x]
+                        gone.append(x)
+
+    def cut(self, output: Node) -> Node:
+        """The node inside `output`'s cone to store first: the widest one that keeps the limits."""
+        if self.output is not output:
+            cone = self.nodes([output])
+            self.output, self.live = output, dict.fromkeys(cone, 0)
+            for n in cone:
+                for x in self.inputs[n]:
+                    if x in self.live:
+                        self.live[x] += 1
+            self.widest = [(-reads[0].bit_count(), self.at[n]) for n in cone if (reads := self.reads[n]) is not None]
+            heapq.heapify(self.widest)
+        while self.widest:
+            width, k = self.widest[0]
+            n = self.order[k]
+            reads = self.reads.get(n)
+            if width and n in self.live and n is not output and reads is not None and reads[0].bit_count() == -width:
+                return n
+            heapq.heappop(self.widest)
+        part = substage(self.nodes([output]), [output])
         names = " ".join(x.name for x, _ in part.reads)
-        raise PackError(f"function {output.name} ({output.op.name}) {excess(part, profile)[0]}: {names}")
-    return best
+        raise PackError(f"function {output.name} ({output.op.name}) {excess(part, self.profile)[0]}: {names}")
 
 
 def merged_reads(stage: Sequence[Substage], s: Substage) -> set[Node]:

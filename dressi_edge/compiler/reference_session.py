@@ -5,11 +5,13 @@ rounded; slow.
 """
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
 
 from ..cache.errors import InputError
+from ..cache.steps import bounded, check_step
 from .program import PlanSpec, Program
 from .reference import evaluate
 
@@ -38,7 +40,10 @@ class ReferenceSession:
         return self
 
     def __exit__(self, *_) -> None:
-        pass
+        self.close()
+
+    def close(self) -> None:
+        """There is nothing to give back."""
 
     def _known(self, name: str, roles: tuple[str, ...]) -> None:
         if self.program.roles.get(name) not in roles:
@@ -65,16 +70,23 @@ class ReferenceSession:
             raise InputError(f"{name} has no value yet; set it first")
         return value.layout.from_image(np.asarray(image)).copy()
 
-    def step(self, n: int = 1, phase: str | None = None) -> None:
+    def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
+        stop = check_step(n, seconds, cancel)
         if phase is not None and phase not in self.phases:
             raise InputError(f"{phase!r:.60} is no phase of this problem; there are: {' '.join(self.phases)}")
         self.phase = phase or self.phase
         if self.phase is None:
             raise InputError("this problem updates nothing: there is no phase to step")
         spec: PlanSpec = self.specs[self.phase]
-        for _ in range(n):
-            self._feed |= dict(zip(spec.updates, evaluate(spec.updates.values(), self._feed)))
-            self._runs[self.phase] += 1
+
+        def run(count: int) -> float:
+            start = time.perf_counter()
+            for _ in range(count):
+                self._feed |= dict(zip(spec.updates, evaluate(spec.updates.values(), self._feed)))
+                self._runs[spec.name] += 1
+            return (time.perf_counter() - start) / max(count, 1)
+
+        return bounded(n, run, seconds, stop)
 
     def loss(self) -> float:
         return float(self.get(f"{self.phase}.loss"))

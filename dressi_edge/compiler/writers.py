@@ -1,6 +1,6 @@
 """Results to files: meshes, images, contact sheets, loss curves and JSON.
 
-Every file appears whole or not at all: bytes go to a temporary file in the same directory, which then replaces the old one.
+Every file appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -8,8 +8,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,6 +16,7 @@ import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
 from dressi_edge.cache.errors import InputError
+from dressi_edge.cache.files import replace_file
 from dressi_edge.compiler.scene import Mesh
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
@@ -30,20 +29,9 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(f"cannot write {path}: directory {path.parent} does not exist; create it first")
-    temporary = None
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes private files
-        os.replace(temporary, path)
+        replace_file(path, data)
     except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
         raise InputError(f"cannot write {path}: {error.strerror or error}; what was there is unchanged; "
                          "free space or choose another path") from error
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import msgpack
 
 from ..cache.errors import BundleError, InputError
+from ..cache.files import replace_file
 
 MAGIC = b"DRESSICP"
 VERSION = 1
@@ -44,49 +45,11 @@ def dumps(checkpoint: Checkpoint, bundle_digest: str) -> list[bytes]:
 
 
 def write(path: str | os.PathLike, parts: list[bytes]) -> None:
-    """Replace the file by these bytes, on the disk before its name is: a process killed here leaves the old file or the new one
-    (and at worst a hidden `.NAME.*.part` beside it). Raises InputError; the old file is then as it was."""
-    folder, base = os.path.split(os.path.abspath(path))
-    name = os.path.join(folder, f".{base}.{os.getpid()}-{os.urandom(6).hex()}.part")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+    """Replace the file by these bytes. Raises InputError; the old file is then as it was."""
     try:
-        with open(os.open(name, flags, 0o666), "wb") as f:
-            try:
-                f.writelines(parts)
-                f.flush()
-                os.fsync(f.fileno())
-            except BaseException:
-                _remove(name)
-                raise
-        try:
-            os.replace(name, path)
-        except BaseException:
-            _remove(name)
-            raise
-        _sync_folder(folder)
+        replace_file(path, *parts)
     except OSError as e:
         raise InputError(f"{os.fspath(path)}: the checkpoint cannot be written: {e.strerror or e}") from None
-
-
-def _remove(name: str) -> None:
-    try:
-        os.unlink(name)
-    except OSError:
-        pass
-
-
-def _sync_folder(folder: str) -> None:
-    """So that the new name survives a power cut; not every system can."""
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass
-    finally:
-        os.close(handle)
 
 
 def read(path: str | os.PathLike, bundle_digest: str, limit: int) -> Checkpoint:

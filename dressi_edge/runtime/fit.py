@@ -1,5 +1,5 @@
 """Which variant of a bundle a session runs: the first that fits the device and the profile it emulates. Both what it does,
-counted anew, and what it says it needs must fit.
+counted anew, and what it says it needs must fit, and its images the device's memory.
 """
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..cache.profile import Profile, misfit
 from ..cache.verify import violations
 from . import vk
 from .emulate import rules
+from .memory import too_large
 
 DEPTH_BIT = vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT
 
@@ -63,6 +64,8 @@ def _misfits(bundle: Bundle, device, kept: Sequence[Profile]) -> tuple[str, list
     for profile in kept:
         if lines := violations(d, profile, bundle.interfaces) or misfit(needs, profile):
             return profile.name, lines, 0
+    if line := too_large(d["images"], device):
+        return device.name, [line], 0
     if all(image["format"] for image in d["images"]):
         return "", [], 0
     views = {device, getattr(device, "real", device)}

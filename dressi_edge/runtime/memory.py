@@ -57,6 +57,7 @@ class Images:
                 offset = -(-sizes.get(kind, 0) // q.alignment) * q.alignment
                 sizes[kind] = offset + q.size
                 pools.setdefault(kind, []).append((image, offset))
+        self._check_heaps(sizes)
         for kind, size in sizes.items():
             memory = vk.AllocateMemory(self.device.device, vk.VkMemoryAllocateInfo(allocationSize=size, memoryTypeIndex=kind))
             self.memory.append(memory)
@@ -69,6 +70,17 @@ class Images:
                 image=h, viewType=vk.VK_IMAGE_VIEW_TYPE_2D, format=r["format"] or depth_format,
                 subresourceRange=(ASPECT[depth], 0, 1, 0, 1))) for h in handles
                 if r["usage"] & ~(v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST)])  # a value that no plan reads has none
+
+    def _check_heaps(self, sizes: dict[int, int]) -> None:
+        """Before anything is allocated: a driver may promise more than it has, and fail at the first use."""
+        wanted: dict[int, int] = {}
+        for kind, size in sizes.items():
+            heap = self.device.memory_types[kind][1]
+            wanted[heap] = wanted.get(heap, 0) + size
+        for heap, size in wanted.items():
+            if size > self.device.heaps[heap][0]:
+                raise DeviceError(f"the images of this bundle need {megabytes(size)}; {self.device.name} has "
+                                  f"{megabytes(self.device.heaps[heap][0])} (heap {heap}); compile it with fewer or smaller views")
 
     def close(self) -> None:
         for views in self.views:
@@ -83,7 +95,20 @@ class Images:
 
 
 def image_bytes(record: dict) -> int:
-    return 4 * v.FORMAT_CHANNELS[record["format"]] * record["width"] * record["height"]
+    """Of one slot; depth takes four bytes in both its formats."""
+    return 4 * v.FORMAT_CHANNELS.get(record["format"], 1) * record["width"] * record["height"]
+
+
+def megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"
+
+
+def too_large(records: list[dict], device) -> str:
+    """What to say if the texels alone are more than the device's memory; else nothing. Drivers take more, for alignment."""
+    local = [size for size, flags in device.heaps if flags & vk.VK_MEMORY_HEAP_DEVICE_LOCAL_BIT]
+    have = sum(local or [size for size, _ in device.heaps])
+    need = sum(image_bytes(r) * r["slots"] for r in records)
+    return f"its images need {megabytes(need)}; {device.name} has {megabytes(have)} of memory for them" if need > have else ""
 
 
 class Staging:

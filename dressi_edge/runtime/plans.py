@@ -4,7 +4,6 @@ In: the plan's record and the bundle's description. Out: a `Plan`, which also ke
 """
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -12,8 +11,6 @@ import numpy as np
 from . import vk
 from .record import Recording
 from .work import Work
-
-CHUNK_SECONDS = 0.02  # of a step that is bounded in time or can be cancelled: about what others wait for
 
 
 class Plan:
@@ -36,22 +33,6 @@ class Plan:
         used |= {ref // 2 for draws in subpasses for draw in draws for ref in draw["images"]}
         self.slots = tuple(k for k in sorted(used) if description["images"][k]["slots"] == 2)
         self.recordings: dict[tuple[int, ...], Recording] = {}
-
-
-def bounded(n: int, run: Callable[[int], float], seconds: float, stop: Callable[[], object]) -> int:
-    """Up to n iterations in chunks of about `CHUNK_SECONDS`; how many were run. `run(k)` runs k and gives the seconds of one, 0
-    where that tells nothing of the next; `stop()` is asked between chunks."""
-    end, done, size, pace = time.perf_counter() + seconds, 0, 1, 0.0
-    while done < n and not stop():
-        left = end - time.perf_counter()
-        if left <= pace:
-            break
-        if pace:
-            size = max(1, min(2 * size, int(min(CHUNK_SECONDS, left) / pace)))
-        size = min(size, n - done)
-        pace = run(size)
-        done += size
-    return done
 
 
 def profile_stages(device, work: Work, stages: int, record: Callable[[int], Recording], changes: Callable[[], list],

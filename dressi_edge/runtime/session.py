@@ -12,6 +12,7 @@ from ..cache import bundle as bundles
 from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
 from ..cache.profile import Profile
+from ..cache.steps import bounded, check_step
 from . import checkpoint as checkpoints
 from . import vk
 from .device import Device
@@ -20,7 +21,7 @@ from .fit import choose
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
-from .plans import Plan, bounded, profile_stages
+from .plans import Plan, profile_stages
 from .record import Recording
 from .transfer import batches, clear, download, upload
 from .work import Work
@@ -299,17 +300,11 @@ class Session:
 
         With either, work is submitted in chunks of about 20 ms, and other threads' calls run between them.
         """
-        if type(n) is not int or n < 0:
-            raise InputError(f"step({n!r:.40}): a count of 0 or more is needed")
+        stop = check_step(n, seconds, cancel)
         if seconds is None and cancel is None:
             return self._step(n, phase)
-        if seconds is not None and not (isinstance(seconds, int | float | np.number) and seconds >= 0):
-            raise InputError(f"step(seconds={seconds!r:.40}): 0 or more is needed")
-        stop = bool if cancel is None else getattr(cancel, "is_set", cancel)
-        if not callable(stop):
-            raise InputError(f"step(cancel={cancel!r:.40}): a threading.Event or a function is needed")
         plan = self._choose(phase)
-        return bounded(n, lambda k: self._chunk(plan, k), float("inf") if seconds is None else float(seconds), stop)
+        return bounded(n, lambda k: self._chunk(plan, k), seconds, stop)
 
     @_serial
     def _choose(self, phase: str | None) -> Plan:

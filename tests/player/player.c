@@ -357,7 +357,7 @@ typedef struct {
     int initial;
     uint64_t version;
 } Value;
-typedef struct { uint32_t pipeline, vertices, cell_count; Indices images; int (*cells)[4]; float near, far; } Draw;
+typedef struct { uint32_t pipeline, vertices, cell_count; int64_t count; Indices images; int (*cells)[4]; float near, far; } Draw;
 typedef struct { uint32_t count; Draw *draws; } Draws;
 typedef struct { uint32_t pass, width, height; Indices attachments; bool wait; Draws *subpasses; } Stage;
 typedef struct Recording {
@@ -692,7 +692,7 @@ static void check_refs(Indices refs) {
 }
 
 static void read_draw(const Node *node, Draw *draw, const Stage *stage, uint32_t subpass) {
-    keys(node, "pipeline images vertices cells depth_range");
+    keys(node, "pipeline images vertices cells depth_range count");
     draw->pipeline = number(node, "pipeline", 0, (int64_t)bundle.pipeline_count - 1);
     const Pipeline *pipeline = bundle.pipelines + draw->pipeline;
     if (pipeline->pass != stage->pass || pipeline->subpass != subpass) refuse("its pipeline was made for another subpass");
@@ -723,6 +723,12 @@ static void read_draw(const Node *node, Draw *draw, const Stage *stage, uint32_t
             refuse("is no float from 0 to 1");
     draw->near = range->is.items[0].is.real, draw->far = range->is.items[1].is.real;
     pop();
+    draw->count = number(node, "count", -1, INT64_C(2) * bundle.image_count - 1);  /* this player draws all vertices */
+    if (draw->count < 0) return;
+    const Image *image = bundle.images + draw->count / 2;
+    if (draw->count % 2 >= image->slots || image->format != 99 || !(image->usage & 1) || has(stage->attachments, draw->count))
+        refuse("count is no integer image to copy from");
+    if (draw->cell_count != 1) refuse("has a count and more or less than one cell");
 }
 
 static void read_stage(const Node *node, Stage *stage) {
@@ -852,6 +858,10 @@ static void check_stage(const Plan *plan, const Stage *stage, uint32_t now, uint
                     check_sample(plan, draw->images.at[b], first);
                     hazard |= wrote[draw->images.at[b]] >= *waited;
                 }
+            if (draw->count >= 0) {
+                check_sample(plan, draw->count, first);
+                hazard |= wrote[draw->count] >= *waited;
+            }
         }
     if (hazard && !stage->wait) refuse("wait is false");
     if (stage->wait) *waited = now;
@@ -860,6 +870,7 @@ static void check_stage(const Plan *plan, const Stage *stage, uint32_t now, uint
         for (uint32_t d = 0; d < stage->subpasses[s].count; d++) {
             Indices images = stage->subpasses[s].draws[d].images;
             for (uint32_t b = 0; b < images.count; b++) sampled[images.at[b]] = now;
+            if (stage->subpasses[s].draws[d].count >= 0) sampled[stage->subpasses[s].draws[d].count] = now;
         }
 }
 
@@ -1200,8 +1211,11 @@ static void create_images(void) {
         places[k].offset = divided(sizes[places[k].type], needs.alignment) * needs.alignment;
         sizes[places[k].type] = places[k].offset + needs.size;
     }
-    for (uint32_t k = 0; k < gpu.memory.memoryTypeCount; k++)
+    for (uint32_t k = 0; k < gpu.memory.memoryTypeCount; k++) {
+        uint64_t heap = gpu.memory.memoryHeaps[gpu.memory.memoryTypes[k].heapIndex].size;
+        if (sizes[k] > heap) die("the images need %.1f MB; the device has %.1f MB", sizes[k] / 1e6, heap / 1e6);
         if (sizes[k]) gpu.blocks[k] = allocate(sizes[k], k);
+    }
     for (uint32_t k = 0; k < 2 * bundle.image_count; k++) {
         Image *image = bundle.images + k / 2;
         VkImage handle = image->handle[k % 2];

@@ -132,9 +132,9 @@ op("pow", "a b", infer=elementwise, ref=lambda a, b: np.power(np.maximum(a, 1e-3
    sample=lambda rng: ([rng.uniform(0.3, 3, (4, 5, 3)), rng.uniform(-1, 2, (1, 1, 1))], {}),
    doc="Of non-negative bases; 0 counts as 1e-30 and its base gradient is 0.")
 op("sigmoid", "a", infer=elementwise, ref=lambda a: np.where(a >= 0, 1, np.exp(-np.abs(a))) / (1 + np.exp(-np.abs(a))), cost=12,
-   glsl=lambda node: ("{y} = ({a} >= 0.0 ? 1.0 : exp({a})) / (1.0 + exp(-abs({a})));" if node.channels == 1 else
-                      "{y} = mix(exp(min({a}, {type}(0.0))), {type}(1.0), greaterThanEqual({a}, {type}(0.0)))"
-                      " / (1.0 + exp(-abs({a})));"),
+   glsl=lambda node: "{ {type} e_ = exp(-abs({a})); {y} = " + (
+       "({a} >= 0.0 ? 1.0 : e_)" if node.channels == 1 else "mix(e_, {type}(1.0), greaterThanEqual({a}, {type}(0.0)))")
+   + " / (1.0 + e_); }",
    vjp=lambda g, y, a: (g * apply("sigmoid", a) * apply("sigmoid", -a),),
    doc="1 / (1 + exp(-a)) without overflow; paper 3.4.3.")
 op("copy", "a", infer=elementwise, ref=lambda a: a, glsl="{y} = {a};", vjp=lambda g, y, a: (g,),

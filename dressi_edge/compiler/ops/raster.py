@@ -146,9 +146,9 @@ op("rasterize_hard", "clip faces", infer=_code(1), reads="vertex vertex", stage=
    draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count")),),
    doc="The front face of each pixel, view F + face; -1 where there is none. Fixed-function depth.")
 
-# A list of segments over the whole atlas: one triangle around each, since there are few and vertices cost more than pixels.
+# A list of segments over the whole atlas: the box around each.
 _AROUND = """
-int slot = gl_VertexIndex / 3, corner = gl_VertexIndex % 3, entry = {entries_at}(slot);
+int slot = gl_VertexIndex / 6, corner = gl_VertexIndex % 6, entry = {entries_at}(slot);
 gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 segment = vec4(0.0);
 center = vec2(0.0);
@@ -163,7 +163,8 @@ if (entry >= 0) {
     float l = length(d);
     d = l < 1e-20 ? vec2(1.0, 0.0) : d / l;
     vec2 n = vec2(-d.y, d.x) * grow;
-    vec2 o = center + segment.xy - d * grow - n + (corner == 1 ? d * (2.0 * l + 4.0 * grow) : corner == 2 ? 4.0 * n : vec2(0.0));
+    vec2 o = center + segment.xy - d * grow + (corner == 1 || corner == 3 || corner == 5 ? d * (l + 2.0 * grow) : vec2(0.0))
+           + (corner >= 2 && corner != 3 ? n : -n);
     gl_Position = vec4(o / (0.5 * vec2({w}, {h})) - 1.0, 0.0, 1.0);
 }
 """
@@ -178,16 +179,14 @@ gl_FragDepth = 0.9999 * d / float({radius});
 op("rasterize_segments", "segments entries count", infer=_code(1), reads="vertex vertex count", stage="raster", functions=FUNCTIONS,
    ref=reference.rasterize_segments, cost=200,
    draws=(Draw(_AROUND, _NEAREST, _SEGMENT_VARYINGS,
-               vertices=(3, "slots"), count="count"),),
+               vertices=(6, "slots"), count="count"),),
    doc="For each pixel the slot of the nearest listed segment within `radius` in its cell, the first of equals; -1 where there is none.")
 
-op("within_tiles", "code tiles list count", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absent=((1, -1),),
-   reads="own tile tile_list count", ref=lambda code, tiles, list, count, tile: np.where(
-       spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
-   glsl="{y} = {tiles} != 0 ? {code} : -1;", cost=40,
-   sample=lambda rng: ([rng.integers(-1, 9, (20, 35, 1)), rng.integers(0, 2, (2, 3, 1)), np.zeros((2, 3, 1), np.int64),
-                        np.zeros((1, 1, 1), np.int64)], {"tile": (16, 16)}),
-   doc="A code inside the tiles that are marked, -1 outside: what depends on it is drawn for the listed tiles alone.")
+op("within_tiles", "code tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absent=((1, -1),), reads="own tile", cost=40,
+   ref=lambda code, tiles, tile: np.where(spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
+   glsl="{y} = {tiles} != 0 ? {code} : -1;",
+   sample=lambda rng: ([rng.integers(-1, 9, (20, 35, 1)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),
+   doc="A code inside the tiles that are marked, -1 outside: what depends on it is drawn for those tiles alone.")
 
 op("outline", "code slot segment position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absorbs_negative=(1,),
    reads="texel own own own", ref=reference.outline, cost=20, functions=FUNCTIONS,

@@ -88,7 +88,7 @@ def rasterize_segments(segments, entries, count, extent, radius, edge_count, cel
     code = np.full((extent.height, extent.width), -1, np.int64)
     nearest = np.full((extent.height, extent.width), np.inf)
     half = np.array([cell_w / 2, cell_h / 2])
-    for slot, entry in enumerate(entries.reshape(-1)[:int(count.reshape(-1)[-1]) // 3]):
+    for slot, entry in enumerate(entries.reshape(-1)[:int(count.reshape(-1)[-1]) // 6]):
         view, s = entry // edge_count, segments.reshape(-1, 4)[slot]
         corner, ends = np.array([view % columns * cell_w, view // columns * cell_h]), s.reshape(2, 2)
         lo = np.clip(np.floor(ends.min(0) - radius - 1 + half), 0, [cell_w, cell_h]).astype(int)

@@ -227,7 +227,7 @@ class Outline(_Rasterized):
     """Distance "outline": the front faces, drawn hard, and around the mesh's fold and boundary edges the nearest of them.
 
     A pixel beside an uncovered one, across the nearest point of its edge, has an alpha of its distance to that edge; so has any
-    uncovered pixel within r. All others have the stencil's. Edges and tiles that count are listed on the device first.
+    uncovered pixel within r. All others have the stencil's. The edges are listed on the device first.
     """
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
@@ -236,16 +236,14 @@ class Outline(_Rasterized):
         folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
                       edge_count=count, vertices=topology.vertex_count)
         front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
-        edges = compact(self._in_cell(folds), each=3)
+        edges = compact(self._in_cell(folds), each=6)
         segments = edges.gather(self.segments)
         fixed = stop_gradient(segments)
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
         boxes = _boxes(minimum(fixed.xy, fixed.zw), maximum(fixed.xy, fixed.zw), exists, r + 0.05, view, atlas)
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
         slot = apply("rasterize_segments", fixed, edges.entries, edges.running, **listed)
-        marks = apply("occupied", slot, side=TILE)
-        tiles = compact(marks, each=6)
-        slot = apply("within_tiles", slot, marks, tiles.entries, tiles.running, tile=(TILE, TILE))
+        slot = apply("within_tiles", slot, apply("occupied", slot, side=TILE), tile=(TILE, TILE))
         hard = front >= 0
         segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r)
         beside = apply("outline", front, slot, stop_gradient(segment), self.position, cell_w=atlas.width, cell_h=atlas.height)

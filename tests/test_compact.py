@@ -1,0 +1,68 @@
+"""Lists made on the device against `np.flatnonzero`, from one entry to more than three levels of counts hold."""
+
+import numpy as np
+import pytest
+
+from dressi_edge.cache.layout import Layout
+from dressi_edge.compiler import Program
+from dressi_edge.compiler.autodiff import gradients
+from dressi_edge.compiler.functions import dot, total
+from dressi_edge.compiler.ops.compact import compact
+from dressi_edge.compiler.reference import evaluate
+
+pytest_plugins = ["gpu"]
+
+COUNTS = (1, 2, 3, 64, 65, 4096, 4097, 20000, 270000)
+
+
+def program_of(count, each=3):
+    program = Program()
+    kind = Layout("table", "int", count=count)
+    flags = program.input("flags", kind)
+    values = program.input("values", Layout("table", "vec2", count=count))
+    weights = program.input("weights", Layout("table", "vec2", count=count))
+    listed = compact(flags, each)
+    gathered = listed.gather(values)
+    g, = gradients(total(dot(gathered, weights)), [values])
+    running = listed.running.extent
+    pairs = Layout("table", "vec2", count=count)
+    program.plan("all", {}, {"entries": (listed.entries, kind), "slots": (listed.slots, kind), "gathered": (gathered, pairs),
+                             "by_values": (g, pairs), "running": (listed.running, Layout("table", "int", count=running.count))})
+    return program
+
+
+def patterns(count):
+    rng = np.random.default_rng(count)
+    yield np.zeros(count, int)
+    yield np.ones(count, int)
+    yield (np.arange(count) == count - 1).astype(int)
+    for share in (0.001, 0.02, 0.5):
+        yield (rng.random(count) < share).astype(int)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_list_is_every_set_entry_in_order(gpu, count):
+    rng = np.random.default_rng(1)
+    values, weights = (rng.integers(-8, 9, (count, 2)) / 4 for _ in range(2))
+    program = program_of(count)
+    with gpu.open(program) as session:
+        session.set("values", values)
+        session.set("weights", weights)
+        for flags in patterns(count):
+            session.set("flags", flags)
+            found = np.flatnonzero(flags)
+            slots = np.full(count, -1)
+            slots[found] = np.arange(len(found))
+            want = {"entries": np.concatenate([found, np.full(count - len(found), -1)]), "slots": slots,
+                    "gathered": np.concatenate([values[found], np.zeros((count - len(found), 2))]),
+                    "by_values": np.where(slots[:, None] >= 0, weights[slots], 0)}
+            for name, x in want.items():
+                np.testing.assert_array_equal(session.get(name).reshape(x.shape), x, err_msg=name)
+            assert session.get("running").reshape(-1)[-1] == 3 * len(found)
+            if count <= 4097:
+                feed = {k: program.values[k].layout.to_image(x, k) for k, x in (("flags", flags), ("values", values), ("weights", weights))}
+                outputs = program.plans[0].outputs
+                for name, value in zip(outputs, evaluate(outputs.values(), feed)):
+                    got = program.values[name].layout.from_image(value)
+                    np.testing.assert_array_equal(got, session.get(name), err_msg=f"reference {name}")
+    gpu.silent()
