@@ -1,4 +1,5 @@
-"""HardSoftRas (paper 3.4, docs/conventions.md) in float64 NumPy, face by face over every pixel: the oracle of renderer tests.
+"""HardSoftRas (paper 3.4, docs/conventions.md) in float64 NumPy, face by face over every pixel: the oracle of renderer tests, for
+distance "face"; `brute_force_outline` is that for distance "outline".
 
 In: clip coordinates (V, 4), faces (F, 3), an image size. Out: `Rendered`, or the `Gradient` of a loss of it.
 `render` = `select` (the discrete choices) then `shade` (a smooth function of clip and attributes, given those choices);
@@ -73,16 +74,20 @@ def render(clip, faces, size, r, sigma=None, delta=None, layers=1, near=1e-3, at
     attributes (V, A), interpolated as colours; background (A,) or (h, w, A), 0 unless given.
     """
     selection = select(clip, faces, size, r, delta, layers, near)
-    return shade(selection, clip, _sigma(r, sigma), attributes, background)
+    return shade(selection, clip, sigma_of(r, sigma), attributes, background)
 
 
 def gradient(
     loss, clip, faces, size, r, sigma=None, delta=None, layers=1, near=1e-3, attributes=None, background=None, h=1e-6
 ) -> Gradient:
     """Central differences of `loss(Rendered) -> float` by clip and attributes, the discrete choices held as at `clip`."""
-    clip = np.array(clip, np.float64)
     selection = select(clip, faces, size, r, delta, layers, near)
-    sigma = _sigma(r, sigma)
+    width = sigma_of(r, sigma)
+    return central_differences(lambda c, a: loss(shade(selection, c, width, a, background)), clip, attributes, h)
+
+
+def central_differences(loss, clip, attributes=None, h=1e-6) -> Gradient:
+    """Of `loss(clip, attributes) -> float` by both; attributes may be None."""
 
     def differences(array, columns, loss_of):
         out = np.zeros_like(array)
@@ -96,14 +101,12 @@ def gradient(
             out[at] = (ends[0] - ends[1]) / (2 * h)
         return out
 
-    by_clip = differences(clip, (0, 1, 3), lambda moved: loss(shade(selection, moved, sigma, attributes, background)))
+    clip = np.array(clip, np.float64)
+    by_clip = differences(clip, (0, 1, 3), lambda moved: loss(moved, attributes))
     if attributes is None:
         return Gradient(by_clip, None)
     attributes = np.array(attributes, np.float64)
-    columns = range(attributes.shape[1])
-    return Gradient(
-        by_clip, differences(attributes, columns, lambda moved: loss(shade(selection, clip, sigma, moved, background)))
-    )
+    return Gradient(by_clip, differences(attributes, range(attributes.shape[1]), lambda moved: loss(clip, moved)))
 
 
 def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
@@ -111,7 +114,7 @@ def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
     clip, faces = np.asarray(clip, np.float64), np.sort(np.asarray(faces, int).reshape(-1, 3), axis=1)
     delta = r if delta is None else delta
     width, height = size
-    pixels = _pixel_centres(size)
+    pixels = pixel_centres(size)
     shape = (len(faces), height, width)
     inside = np.zeros(shape, bool)
     d, cut = np.full(shape, np.inf), np.full(shape, np.inf)  # to the nearest edge; to the line along which near cuts the face
@@ -121,9 +124,9 @@ def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
     for f, corners in enumerate(faces):
         if not face_exists(clip[corners], near):
             continue
-        inside[f], depth[f] = _cover(clip[corners], pixels, size, near)
-        d[f], edge[f], feature[f], second[f] = _nearest_edge(clip, corners, pixels, size, near)
-        cut[f] = _distance_to_near_cut(clip[corners], pixels, size, near)
+        inside[f], depth[f] = cover(clip[corners], pixels, size, near)
+        d[f], edge[f], feature[f], second[f] = nearest_edge(clip, corners, pixels, size, near)
+        cut[f] = distance_to_near_cut(clip[corners], pixels, size, near)
 
     candidate = inside | (d <= r)
     kind = np.where(inside, 0, np.where(candidate, 1, 2))
@@ -149,7 +152,7 @@ def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
     room = candidate.sum(axis=0) < layers
     common = np.minimum(common, np.where(room & ~candidate, d - r, np.inf).min(axis=0, initial=np.inf))
     common = np.minimum(
-        common, _edge_mask_margin(hard, edge_mask, reach, _hard_margin(clip, faces, pixels, size, near, inside, d, cut))
+        common, _edge_mask_margin(hard, edge_mask, reach, hard_margin_of(clip, faces, pixels, size, near, inside, d, cut))
     )
     margins = [common, common, np.minimum(common, np.where(filled, per_layer(second), np.inf).min(axis=0))]
     rank = np.zeros(shape, int)
@@ -270,20 +273,20 @@ def sigmoid(x):
     return np.where(x >= 0, 1, small) / (1 + small)
 
 
-def _sigma(r, sigma):
+def sigma_of(r, sigma):
     sigma = r / 7 if sigma is None else sigma
     if not sigma > 0:
         raise ValueError(f"sigma is {sigma}; it must be > 0: give one where r is 0")
     return sigma
 
 
-def _pixel_centres(size):
+def pixel_centres(size):
     width, height = size
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     return np.stack([x, y], axis=-1)
 
 
-def _cover(corners, pixels, size, near):
+def cover(corners, pixels, size, near):
     """Whether the face of corners (3, 4) covers each pixel, and its depth there, 0..1."""
     sign = np.sign(np.linalg.det(corners[:, [0, 1, 3]]))
     e = edge_functions(corners, pixels, size) * sign
@@ -293,7 +296,7 @@ def _cover(corners, pixels, size, near):
     return inside, np.clip(b @ corners[:, 2] / np.where(inside, w, 1.0), 0, 1)
 
 
-def _nearest_edge(clip, corners, pixels, size, near):
+def nearest_edge(clip, corners, pixels, size, near):
     """Distance to the nearest edge of a face, which edge, its feature (see `select`), the lead over the next other feature."""
     distances, features = [], []
     for i, j in corners[EDGES]:
@@ -311,7 +314,7 @@ def _nearest_edge(clip, corners, pixels, size, near):
     return d, edge, feature, np.where(other & np.isfinite(distances), distances - d, np.inf).min(axis=0)
 
 
-def _distance_to_near_cut(corners, pixels, size, near):
+def distance_to_near_cut(corners, pixels, size, near):
     """Distance to the segment along which w = near cuts the face: not one of its edges, but its coverage ends there."""
     ends = []
     for i, j in EDGES:
@@ -321,7 +324,7 @@ def _distance_to_near_cut(corners, pixels, size, near):
     return segment_distance(pixels, *ends)[0] if ends else np.full(pixels.shape[:2], np.inf)
 
 
-def _hard_margin(clip, faces, pixels, size, near, inside, d, cut):
+def hard_margin_of(clip, faces, pixels, size, near, inside, d, cut):
     """How far each pixel is from a change of S^H: from the outline, or as deep as it is inside a single face."""
     outline = cut.min(axis=0, initial=np.inf)
     users = {}

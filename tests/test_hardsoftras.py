@@ -5,9 +5,10 @@ the margins mean. Camera poses are differentiated against central differences of
 """
 
 import brute_force
+import brute_force_outline
 import numpy as np
 import pytest
-from corpus import icosahedron, project, rotation, scenes
+from corpus import Scene, icosahedron, project, rotation, scenes
 from graphs import layout_of, rounded
 
 from dressi_edge.cache.errors import InputError
@@ -19,14 +20,15 @@ from dressi_edge.compiler.functions import constant, dot, total
 from dressi_edge.compiler.reference import evaluate
 from dressi_edge.compiler.render.camera import fixed_views, posed_views, rotation_rows, to_clip
 from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
+from dressi_edge.compiler.scene import sphere
 from dressi_edge.compiler.topology import Topology
 
 pytest_plugins = ["gpu"]
 
 MARGIN = 1 / 64
 SCENES = scenes()
-EMPTY = {"behind", "off_screen"}
 THOROUGH = {"sliver_in_front", "coincident", "random"}  # where layers tell most
+THIN = {"sliver": 5e-4, "icosphere": 5e-4}  # outline takes the colour at an edge from a face of no width: few digits of barycentrics
 
 
 def renderer(topology, size, softness, near, views=1, columns=1):
@@ -60,18 +62,25 @@ def relative(a, b):
     return np.linalg.norm(a - b) / max(np.linalg.norm(b), 1e-9)
 
 
-def check(gpu, name, softness, profile="lavapipe"):
-    s = SCENES[name]
+def oracle_of(softness):
+    """The module, and what it needs of a Softness."""
+    if softness.distance == "outline":
+        return brute_force_outline, {"sigma": softness.sigma}
+    return brute_force, {"sigma": softness.sigma, "delta": softness.delta, "layers": softness.layers}
+
+
+def check(gpu, s, softness, profile="lavapipe", tolerance=1e-4):
+    """Scene `s` is what the oracle says; `tolerance` of the gradients."""
     clip, attributes = rounded(s.clip), rounded(s.attributes)
-    how = {"sigma": softness.sigma, "delta": softness.delta, "layers": softness.layers, "near": s.near,
-           "attributes": attributes, "background": np.full(3, 0.25)}
-    expected = brute_force.render(clip, s.faces, s.size, softness.r, **how)
+    oracle, how = oracle_of(softness)
+    how |= {"near": s.near, "attributes": attributes, "background": np.full(3, 0.25)}
+    expected = oracle.render(clip, s.faces, s.size, softness.r, **how)
     rng = np.random.default_rng(0)
     smooth = (expected.margin_gradient > MARGIN) & (expected.margin > MARGIN)
     by_alpha = rounded(rng.normal(size=smooth.shape)) * smooth
     by_color = rounded(rng.normal(size=(*smooth.shape, 3))) * (smooth & (expected.margin_color > MARGIN))[..., None]
-    gradient = brute_force.gradient(lambda image: (image.silhouette * by_alpha).sum() + (image.color * by_color).sum(),
-                                    clip, s.faces, s.size, softness.r, **how)
+    gradient = oracle.gradient(lambda image: (image.silhouette * by_alpha).sum() + (image.color * by_color).sum(),
+                               clip, s.faces, s.size, softness.r, **how)
     with gpu.open(renderer(Topology(s.faces, len(clip)), s.size, softness, s.near), profile) as session:
         found = render(session, clip=clip, attributes=attributes, by_alpha=by_alpha[None], by_color=by_color[None])
     gpu.silent()
@@ -80,49 +89,182 @@ def check(gpu, name, softness, profile="lavapipe"):
     np.testing.assert_allclose(found["alpha"][0][sure], expected.silhouette[sure], rtol=0, atol=1e-5)
     np.testing.assert_allclose(found["color"][0][sure_color], expected.color[sure_color], rtol=0, atol=1e-5)
     assert not found["by_clip"][:, 2].any(), "depth only orders"
-    if name in EMPTY:
+    if not (expected.face >= 0).any():
         assert not found["alpha"].any() and not found["by_clip"].any() and not found["by_attributes"].any()
-    assert relative(found["by_clip"], gradient.clip) < 1e-4
-    assert relative(found["by_attributes"], gradient.attributes) < 1e-4
+    assert relative(found["by_clip"], gradient.clip) < tolerance
+    assert relative(found["by_attributes"], gradient.attributes) < tolerance
 
 
 def cases():
-    """Every scene x K in 1..5, and for K = 1 with and without the fold edges; most in the default run."""
+    """Every scene x outline distance, and face distance with K in 1..5; most in the default run."""
     for name in SCENES:
-        for layers, folds in ((1, True), (1, False), (2, True), (3, True), (4, True), (5, True)):
-            default = folds and layers == 1 or layers == 3 or layers == 5 and name in THOROUGH
-            yield pytest.param(name, layers, folds, marks=[] if default else [pytest.mark.full],
-                               id=f"{name}-{layers}{'' if folds else '-enlarged'}")
+        yield pytest.param(name, Softness(3.0), id=f"{name}-outline")
+        for k in range(1, 6):
+            default = k in (1, 3) or k == 5 and name in THOROUGH
+            yield pytest.param(name, Softness(3.0, layers=k, distance="face"), id=f"{name}-{k}",
+                               marks=[] if default else [pytest.mark.full])
 
 
-@pytest.mark.parametrize("name, layers, folds", list(cases()))
-def test_image_and_gradient_are_those_of_the_brute_force_oracle(gpu, name, layers, folds):
-    check(gpu, name, Softness(3.0, layers=layers, folds=folds))
+@pytest.mark.parametrize("name, softness", list(cases()))
+def test_image_and_gradient_are_those_of_the_brute_force_oracle(gpu, name, softness):
+    check(gpu, SCENES[name], softness, tolerance=THIN.get(name, 1e-4) if softness.distance == "outline" else 1e-4)
 
 
-@pytest.mark.parametrize("softness", [Softness(0.7), Softness(4.5, sigma=2.0, delta=1.0, layers=2), Softness(1.5, delta=5.0)],
-                         ids=["narrow", "wide_sigma", "wide_delta"])
+@pytest.mark.parametrize("softness", [Softness(0.7), Softness(4.5, sigma=2.0), Softness(0.7, distance="face"),
+                                      Softness(4.5, sigma=2.0, delta=1.0, layers=2), Softness(1.5, delta=5.0)],
+                         ids=["narrow", "wide", "narrow_face", "wide_sigma", "wide_delta"])
 def test_r_sigma_and_delta_mean_what_the_oracle_says(gpu, softness):
-    check(gpu, "tetrahedron", softness)
+    check(gpu, SCENES["tetrahedron"], softness)
 
 
-@pytest.mark.parametrize("profile, layers", [("limit4", 1), ("limit8", 2), pytest.param("limit4", 3, marks=pytest.mark.full),
-                                             pytest.param("raspberry_pi_4", 3, marks=pytest.mark.full)])
-def test_a_small_device_profile_gives_the_same_image_and_gradient(gpu, profile, layers):
-    check(gpu, "icosphere", Softness(3.0, layers=layers), profile)
+@pytest.mark.parametrize("profile, softness", [
+    ("limit4", Softness(3.0)), ("raspberry_pi_4", Softness(3.0)), ("limit4", Softness(3.0, distance="face")),
+    ("limit8", Softness(3.0, layers=2)), pytest.param("limit4", Softness(3.0, layers=3), marks=pytest.mark.full),
+    pytest.param("raspberry_pi_4", Softness(3.0, layers=3), marks=pytest.mark.full)], ids=lambda x: getattr(x, "distance", x))
+def test_a_small_device_profile_gives_the_same_image_and_gradient(gpu, profile, softness):
+    check(gpu, SCENES["icosphere"], softness, profile, THIN["icosphere"])
 
 
-def test_softness_that_cannot_be_drawn_is_an_error():
-    for bad in ({"r": 0.0}, {"r": np.nan}, {"sigma": 0.0}, {"sigma": np.inf}, {"delta": -1.0}, {"layers": 0}, {"layers": 6}):
-        with pytest.raises(InputError, match="needed|allowed"):
-            Softness(**bad)
+@pytest.mark.parametrize("bad", [
+    {"r": 0.0}, {"r": np.nan}, {"sigma": 0.0}, {"sigma": np.inf}, {"delta": -1.0}, {"layers": 0}, {"layers": 6},
+    {"distance": "edge"}, {"distance": "outline", "layers": 2}, {"distance": "outline", "delta": 2.0}], ids=str)
+def test_softness_that_cannot_be_drawn_is_an_error(bad):
+    with pytest.raises(InputError, match="needed|allowed|one layer"):
+        Softness(**bad)
+
+
+def test_the_distance_is_to_the_outline_where_that_is_defined():
+    assert Softness().distance == Softness(sigma=1.0).distance == "outline"
+    assert Softness(layers=2).distance == Softness(delta=2.0).distance == Softness(distance="face").distance == "face"
+
+
+# Outline distance
+
+
+def torus(rings=9, sides=7, small=0.35):
+    u, v = (np.arange(n) * 2 * np.pi / n for n in (rings, sides))
+    u, v = (x.ravel() for x in np.meshgrid(u, v, indexing="ij"))
+    wide = 0.65 + small * np.cos(v)
+    i, j = (x.ravel() for x in np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij"))
+    a, b = i * sides + j, (i + 1) % rings * sides + j
+    c, d = (i + 1) % rings * sides + (j + 1) % sides, i * sides + (j + 1) % sides
+    return np.stack([wide * np.cos(u), wide * np.sin(u), small * np.sin(v)], 1), np.concatenate([np.stack(x, 1) for x in
+                                                                                                ((a, b, c), (a, c, d))])
+
+
+def shapes():
+    """Scenes in which hidden folds, boundaries, the image's border or the near plane decide."""
+    out = {}
+
+    def add(name, points, faces, size=(28, 26), near=0.1):
+        attributes = np.random.default_rng(len(out)).uniform(size=(len(points), 3))
+        out[name] = Scene(project(points, size, near), np.asarray(faces), size, attributes, near)
+
+    ball, faces = icosahedron()
+    ring, ring_faces = torus()
+    add("ring", ring @ rotation(5).T + (0.02, 0.01, -3.2), ring_faces)
+    add("ring_on_edge", ring @ rotation(7).T + (0.3, -0.2, -2.8), ring_faces)
+    add("open_ball", 0.9 * ball @ rotation(2).T + (0.02, 0.04, -3.4), faces[3:])
+    ys, xs = (x.ravel() for x in np.mgrid[:5, :5])
+    quads = [(5 * y + x, 5 * y + x + 1, 5 * y + x + 6, 5 * y + x + 5) for y in range(4) for x in range(4) if (x, y) != (1, 2)]
+    sheet = np.stack([0.45 * xs - 0.9, 0.44 * ys - 0.85, -3.1 + 0.3 * np.sin(xs + 0.7 * ys)], 1)
+    add("sheet_with_hole", sheet, [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    add("leaves_the_cell", 0.9 * ball @ rotation(4).T + (-1.2, 0.9, -3.3), faces)
+    add("larger_than_the_cell", 3.1 * ball @ rotation(4).T + (2.6, 1.9, -6.3), faces)
+    add("cut_by_near", 0.9 * ball @ rotation(6).T + (0.1, 0.1, -3.2), faces, near=3.0)
+    add("around_the_eye", 2.0 * ball @ rotation(8).T + (0.3, 0.1, -1.1), faces[:14], near=0.2)
+    fins = np.array([(0.0, -0.9, -3.0), (0.05, 0.9, -3.1), (0.9, 0.1, -2.8), (-0.8, 0.0, -3.3), (0.6, 0.5, -3.6)])
+    add("three_at_an_edge", fins, [(0, 1, 2), (0, 1, 3), (0, 1, 4)])
+    return out
+
+
+SHAPES = shapes()
+
+
+@pytest.mark.parametrize("scene", SHAPES.values(), ids=SHAPES)
+def test_outline_distance_is_the_oracles_where_folds_borders_and_the_near_plane_decide(gpu, scene):
+    check(gpu, scene, Softness(2.6), tolerance=5e-4)
+
+
+@pytest.mark.parametrize("name", ["icosphere", "overlapping", "random", "sliver_in_front"])
+def test_uncovered_pixels_beside_covered_ones_are_those_of_face_distance(gpu, name):
+    s, found = SCENES[name], []
+    clip, attributes = rounded(s.clip), rounded(s.attributes)
+    expected = [oracle_of(x)[0].render(clip, s.faces, s.size, 3.0, near=s.near) for x in (Softness(3.0), Softness(3.0, distance="face"))]
+    soft = (expected[1].edge_mask & ~expected[1].hard)[None] & np.all([e.margin > MARGIN for e in expected], axis=0)
+    none = np.zeros((1, *s.size[::-1]))
+    for softness in (Softness(3.0), Softness(3.0, distance="face")):
+        with gpu.open(renderer(Topology(s.faces, len(clip)), s.size, softness, s.near)) as session:
+            found.append(render(session, clip=clip, attributes=attributes, by_alpha=soft * (expected[0].margin_gradient > MARGIN)[None],
+                                by_color=np.zeros((*none.shape, 3))))
+    gpu.silent()
+    assert soft.sum() > 20
+    np.testing.assert_allclose(found[0]["alpha"][soft], found[1]["alpha"][soft], rtol=0, atol=1e-6)
+    assert relative(found[0]["by_clip"], found[1]["by_clip"]) < 1e-4
+
+
+@pytest.mark.parametrize("r", [1.0, 3.0])
+def test_inside_a_closed_mesh_alpha_is_one_however_many_edges_there_are(gpu, r):
+    ball, size, radius = sphere(2562), (64, 64), 24.0
+    clip = project(ball.positions / np.linalg.norm(ball.positions, axis=1)[:, None] + (0, 0, -12.0), size, focal=radius * 12 / 64)
+    with gpu.open(renderer(Topology(ball.faces, len(clip)), size, Softness(r), 0.1)) as session:
+        alpha = render(session, clip=clip, attributes=np.zeros_like(ball.positions), by_alpha=np.ones((1, 64, 64)),
+                       by_color=np.zeros((1, 64, 64, 3)))["alpha"][0]
+    gpu.silent()
+    centre = ((clip[:, :2] / clip[:, 3:] + 1) * 32).mean(0)
+    ys, xs = np.mgrid[:64, :64] + 0.5
+    inside = radius * 12 / np.sqrt(143) - np.hypot(xs - centre[0], ys - centre[1])
+    assert (alpha[inside > r + 0.1] == 1).all()
+    assert (alpha[inside < -r - 0.1] == 0).all()
+    rim = np.abs(inside) < r - 0.1
+    np.testing.assert_allclose(alpha[rim], 1 / (1 + np.exp(-inside[rim] * 7 / r)), atol=0.06 * 7 / r / 4)
+
+
+def test_of_coincident_edges_and_faces_the_lowest_face_is_shown(gpu):
+    size, square = (20, 20), np.array([(-0.5, -0.5, 0.5, 1), (0.52, -0.5, 0.5, 1), (0.5, 0.51, 0.5, 1), (-0.5, 0.5, 0.5, 1)])
+    clip, faces = np.concatenate([square, square]), np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)])
+    attributes = np.repeat([(1.0, 0.0, 0.5), (0.0, 1.0, 0.5)], 4, axis=0)
+    with gpu.open(renderer(Topology(faces, 8), size, Softness(3.0), 0.1)) as session:
+        found = render(session, clip=clip, attributes=attributes, by_alpha=np.ones((1, 20, 20)), by_color=np.ones((1, 20, 20, 3)))
+    gpu.silent()
+    alpha = found["alpha"][0]
+    assert ((alpha > 0) & (alpha < 0.5)).sum() > 50
+    np.testing.assert_allclose(found["color"][0], attributes[0] * alpha[..., None] + 0.25 * (1 - alpha[..., None]), atol=1e-5)
+    assert not found["by_clip"][4:].any() and found["by_clip"][:4].any()
+
+
+def test_a_view_does_not_reach_into_the_cells_beside_it(gpu):
+    size, near = (22, 18), 0.1
+    ball, faces = icosahedron()
+    away = project(0.5 * ball + (0, 0, 5.0), size, near)
+    overlapping = project(1.4 * ball @ rotation(3).T + (0.1, 0.0, -3.0), size, near)  # larger than its cell on every side
+    with gpu.open(renderer(Topology(faces, len(ball)), size, Softness(4.0), near, 9, 3)) as session:
+        for view in (0, 4, 8):
+            clip = np.array([overlapping if v == view else away for v in range(9)])
+            found = render(session, clip=clip.reshape(-1, 4), attributes=np.ones((len(ball), 3)), by_alpha=np.ones((9, 18, 22)),
+                           by_color=np.ones((9, 18, 22, 3)))
+            others = np.arange(9) != view
+            assert found["alpha"][view].mean() > 0.7
+            assert not found["alpha"][others].any()
+            assert not found["by_clip"].reshape(9, -1)[others].any()
+    gpu.silent()
+
+
+def test_what_lies_beyond_far_is_drawn_at_either_distance(gpu):
+    """Depth only orders: a vertex with z > w is no further than the last."""
+    s = SCENES["quad"]
+    clip = rounded(s.clip)
+    clip[:, 2] = clip[:, 3] * 1.1
+    for softness in (Softness(3.0), Softness(3.0, distance="face")):
+        check(gpu, s._replace(clip=clip), softness)
 
 
 # Views
 
 
-@pytest.mark.parametrize("layers", [1, 2])
-def test_an_atlas_of_views_is_the_views_one_by_one(gpu, layers):
+@pytest.mark.parametrize("softness", [Softness(2.5), Softness(2.5, distance="face"), Softness(2.5, layers=2)],
+                         ids=["outline", "face", "layers"])
+def test_an_atlas_of_views_is_the_views_one_by_one(gpu, softness):
     size, near = (22, 18), 0.1
     ball, faces = icosahedron()
     topology = Topology(faces, len(ball))
@@ -130,9 +272,9 @@ def test_an_atlas_of_views_is_the_views_one_by_one(gpu, layers):
     clips = np.array([project(0.9 * ball @ rotation(k).T + (0.4 * k - 1, 0.04, -3.3), size, near) for k in (2, 3, 4)])
     attributes, by_alpha = rng.uniform(size=(len(ball), 3)), rng.normal(size=(3, 18, 22))
     by_color = rng.normal(size=(3, 18, 22, 3))
-    with gpu.open(renderer(topology, size, Softness(2.5, layers=layers), near, 3, 2)) as session:
+    with gpu.open(renderer(topology, size, softness, near, 3, 2)) as session:
         atlas = render(session, clip=clips.reshape(-1, 4), attributes=attributes, by_alpha=by_alpha, by_color=by_color)
-    with gpu.open(renderer(topology, size, Softness(2.5, layers=layers), near)) as session:
+    with gpu.open(renderer(topology, size, softness, near)) as session:
         single = [render(session, clip=clips[v], attributes=attributes, by_alpha=by_alpha[v][None], by_color=by_color[v][None])
                   for v in range(3)]
     gpu.silent()

@@ -139,6 +139,7 @@ _HARD = _PROLOGUE + """
 int f = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
 ivec3 t = {faces_at}(f);
 gl_Position = {clip_at}(view * {vertices} + (corner == 0 ? t.x : corner == 1 ? t.y : t.z));
+gl_Position.z *= 0.5;  // the far plane clips nothing: z < 2 w everywhere, unless far < 2 near
 code = view * {face_count} + f;
 """
 op("rasterize_hard", "clip faces", infer=_code(1), reads="vertex vertex", stage="raster", ref=reference.rasterize_hard, cost=200,
