@@ -20,8 +20,7 @@ class Selection(NamedTuple):
     front: np.ndarray  # (h, w), -1 where S^H is 0
     ends: np.ndarray  # (E, 2) vertices of all edges, lower first
     owner: np.ndarray  # (E,) the lowest face of each
-    edge: np.ndarray  # (h, w) the nearest fold or boundary edge within r, -1 where there is none
-    beside: np.ndarray  # (h, w) bool, that edge is outline for the pixel
+    edge: np.ndarray  # (h, w) the nearest fold or boundary edge within r that is outline for the pixel, -1 where there is none
     margins: Margins  # `value` of silhouette, `color` of colour and face, `gradient` of the derivatives of silhouette and colour
 
 
@@ -37,7 +36,7 @@ def gradient(loss, clip, faces, size, r, sigma=None, near=1e-3, attributes=None,
 
 
 def select(clip, faces, size, r, near=1e-3) -> Selection:
-    """The front face of each pixel, its nearest fold or boundary edge, and whether that is outline."""
+    """The front face of each pixel, and of the fold and boundary edges that are outline for it the nearest."""
     clip, faces = np.asarray(clip, np.float64), np.sort(np.asarray(faces, int).reshape(-1, 3), axis=1)
     pixels = face.pixel_centres(size)
     front, sure_hard, sure_front = _front(clip, faces, pixels, size, near)
@@ -56,26 +55,23 @@ def select(clip, faces, size, r, near=1e-3) -> Selection:
     clear, sure_clear = _clear_beyond(pixels, foot, d, hard, sure_hard, size)
     clear, sure_clear = clear | ~hard, np.where(hard, sure_clear, np.inf)
 
-    listed = np.where(fold[:, None, None], d, np.inf)
+    counts = fold[:, None, None] & clear
+    listed = np.where(counts, d, np.inf)
     least = listed.min(axis=0, initial=np.inf)
-    within = least <= r
-    edge = np.where(within, listed.argmin(axis=0) if len(ends) else 0, -1)
+    beside = least <= r
+    edge = np.where(beside, listed.argmin(axis=0) if len(ends) else 0, -1)
 
     def chosen(values):
         return np.take_along_axis(values, np.maximum(edge, 0)[None], axis=0)[0] if len(ends) else np.zeros(edge.shape, values.dtype)
 
-    beside = within & chosen(clear)
-
-    # Another outcome of each edge: one that is no fold would have to become one, and to come before the nearest, within r.
+    # Another outcome: an edge would have to count that does not, and to come before the nearest, within r.
     behind = np.maximum(d - np.minimum(least, r), 0)
-    become = np.maximum(behind, np.where(fold, 0.0, sure_fold)[:, None, None])
-    become = np.where((np.arange(len(ends))[:, None, None] == edge) & within, np.inf, become)
-    changes = np.where(clear == beside, np.maximum(become, sure_clear), become)  # of no use to a pixel that stays as it is
-    own = np.where(within, np.minimum(chosen(sure_fold[:, None, None] + np.zeros_like(d)), chosen(sure_clear)), np.inf)
-    own = np.minimum(own, np.where(beside, r - least, np.inf))
-    own = np.minimum(own, sure_hard)
-    absent = np.where(within, np.inf, np.where(hard & ~clear, np.maximum(become, sure_clear), become).min(axis=0, initial=np.inf))
-    value = np.minimum(np.minimum(own, absent), np.where(within, changes.min(axis=0, initial=np.inf), np.inf))
+    become = np.maximum(behind, np.maximum(np.where(fold, 0.0, sure_fold)[:, None, None], np.where(clear, 0.0, sure_clear)))
+    become = np.where((np.arange(len(ends))[:, None, None] == edge) & beside, np.inf, become)
+    changes = np.where(counts & beside, np.inf, become)  # of two that count the least distance is taken, whichever has it
+    own = np.where(beside, np.minimum(chosen(sure_fold[:, None, None] + np.zeros_like(d)), chosen(sure_clear)), np.inf)
+    own = np.minimum(np.minimum(own, np.where(beside, r - least, np.inf)), sure_hard)
+    value = np.minimum(own, changes.min(axis=0, initial=np.inf))
 
     # Two edges whose nearest point is the same vertex differ in nothing but the name of the face.
     feature = np.stack([np.where((t == 1) & _in_front(clip, ends[:, 1], near), ends[:, 1, None, None], ends[:, 0, None, None]),
@@ -88,7 +84,7 @@ def select(clip, faces, size, r, near=1e-3) -> Selection:
     color = np.minimum(value, np.where(hard, sure_front, lead))
     slope = np.minimum(np.minimum(value, np.where(hard, sure_front, np.inf)), np.minimum(lead, kink))
     owner = np.array([own[0] for own in users.values()], int)
-    return Selection(faces, tuple(size), near, front, ends, owner, edge, beside, Margins(value, color, slope))
+    return Selection(faces, tuple(size), near, front, ends, owner, edge, Margins(value, color, slope))
 
 
 def shade(selection, clip, sigma, attributes=None, background=None) -> Rendered:
@@ -103,7 +99,7 @@ def shade(selection, clip, sigma, attributes=None, background=None) -> Rendered:
     dist, points = np.full((height, width), -np.inf), pixels.copy()
     dist[ys, xs] = np.where(hard[ys, xs], d, -d)
     points[ys, xs] = np.where(hard[ys, xs, None], pixels[ys, xs], foot)
-    silhouette = np.where(s.beside, face.sigmoid(dist / sigma), hard)
+    silhouette = np.where(s.edge >= 0, face.sigmoid(dist / sigma), hard)
     shown = s.front.copy()
     shown[ys, xs] = np.where(hard[ys, xs], shown[ys, xs], s.owner[s.edge[ys, xs]])
 
@@ -120,7 +116,7 @@ def shade(selection, clip, sigma, attributes=None, background=None) -> Rendered:
         layer[ys, xs] = np.einsum("ni,nia->na", b, attributes[corners])
         color = silhouette[..., None] * layer + (1 - silhouette[..., None]) * background
     m = s.margins
-    return Rendered(color, silhouette, shown[..., None], dist[..., None], hard, s.beside, m.value, m.color, m.gradient)
+    return Rendered(color, silhouette, shown[..., None], dist[..., None], hard, s.edge >= 0, m.value, m.color, m.gradient)
 
 
 def _front(clip, faces, pixels, size, near):

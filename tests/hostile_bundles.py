@@ -179,10 +179,10 @@ ROWS = [
     ("draw_count_format", "states", [(f"{STAGE}.subpasses[0][0].count", 0)], "count: image 0 is not R32_SINT with usage 1"),
     ("draw_count_missing", "states", [(f"{STAGE}.subpasses[0][0].count", DROP)], "lacks count"),
     ("cycle", "lists", [("plans[0].stages[0].subpasses[0][0].images[0]", 2)], "images[0]: image 1 is written by the same stage"),
-    ("late", "lists", [("plans[0].stages[2].subpasses[0][0].images[2]", 0)], "image 0 lacks usage 4"),
+    ("late", "lists", [("plans[0].stages[3].subpasses[0][0].images[2]", 0)], "image 0 lacks usage 4"),
     ("late_count", "lists", [("images[14].usage", 21), ("plans[0].stages[3].subpasses[0][0].count", 28)],
      "plans[0].stages[3] reads image 14, which nothing has written"),
-    ("count_cells", "lists", [("plans[0].stages[4].subpasses[0][0].count", 14)], "count is 14; -1, or a draw of one cell"),
+    ("count_cells", "lists", [("plans[0].stages[2].subpasses[0][0].count", 14)], "count is 14; -1, or a draw of one cell"),
     ("count_attached", "lists", [("plans[0].stages[4].subpasses[0][0].count", 24)], "count: image 12 is not R32_SINT with usage 1"),
     # variants
     ("variants_lacks", "variants", [("variants[1].plans", DROP)], "variants[1]: description lacks plans"),

@@ -63,13 +63,12 @@ def test_an_edge_in_front_of_another_face_is_no_outline():
     assert set(out.face[middle].ravel()) == {0, 1, 2, 3}
 
 
-def test_a_hidden_edge_that_is_nearer_takes_the_place_of_the_outline():
+def test_a_hidden_edge_that_is_nearer_leaves_the_outline_its_place():
     clip, faces = boxes((4.3, 4.3, 19.3, 19.3), (5.2, 2.2, 12.2, 21.3), depth=[0.3, 0.6])
     hidden = select(clip, faces, SIZE, 3.0)
     assert hidden.front[10, 5] in (0, 1)
-    assert sorted(hidden.ends[hidden.edge[10, 5]]) == [4, 7], "the left side of the box behind, at x = 5.2"
-    assert not hidden.beside[10, 5], "0.7 pixels to the left of it lies the box in front"
-    assert hidden.beside[10, 4], "0.8 pixels left of x = 4.3 nothing lies"
+    nearest = sorted(hidden.ends[hidden.edge[10, 5]])
+    assert nearest == [0, 3], "0.7 pixels left of x = 5.2, the side of the box behind, lies the box in front; left of x = 4.3 nothing"
 
 
 @pytest.mark.parametrize("left, beside", [(12.4, False), (12.6, True)], ids=["covered", "uncovered"])
@@ -103,8 +102,10 @@ def test_an_edge_of_three_faces_counts():
     sheet = [(0, 1, 2), (0, 1, 3)]
     two, three = (select(clip, faces, SIZE, 3.0) for faces in (sheet, [*sheet, (0, 1, 4)]))
     assert two.edge[12, 12] == -1
-    assert three.ends[three.edge[12, 12]].tolist() == [0, 1]
-    assert not three.beside[12, 12], "both sides of it are covered"
+    assert three.edge[12, 12] == -1, "both sides of it are covered"
+    flat = [(12.3, 3.2), (12.3, 21.1), (20.4, 12.2), (16.0, 12.4), (18.2, 20.0)]
+    one_sided = select(from_screen(flat, SIZE), [*sheet, (0, 1, 4)], SIZE, 3.0)
+    assert one_sided.ends[one_sided.edge[12, 12]].tolist() == [0, 1]
 
 
 def test_an_uncovered_pixel_has_the_lowest_face_of_its_edge_and_the_colour_of_the_nearest_point():

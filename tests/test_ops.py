@@ -397,21 +397,20 @@ def test_the_hard_faces_are_those_of_the_first_layer(raster):
     assert 100 < covered.sum() < covered.size / 2
 
 
-def test_the_nearest_listed_segment_is_found_in_every_cell(raster):
-    device, reference, _, (segments, entries, running) = raster
+def test_the_nearest_outline_segment_is_found_in_every_cell(raster):
+    device, reference, _, (segments, entries, front, running) = raster
     found, expected = device["rasterize_segments"], reference["rasterize_segments"][..., 0]
     count = running.reshape(-1)[-1] // 6
     assert 10 < count < 60 and (entries.reshape(-1)[:count] >= 0).all() and (entries.reshape(-1)[count:] == -1).all()
     ys, xs = np.mgrid[:36, :40]
-    view = xs // 20 + ys // 18 * 2
     p = np.stack([xs % 20 - 9.5, ys % 18 - 8.5], -1)
     d = np.sqrt(segment_distance2(p[:, :, None], segments.reshape(-1, 4)[:count]))
-    d = np.where(entries.reshape(-1)[:count] // 30 == view[..., None], d, np.inf)
-    nearest = d.min(-1)
-    sure = np.abs(nearest - 2.5) > 1e-3
-    for slot in (found, expected):
-        np.testing.assert_array_equal((slot >= 0)[sure], (nearest < 2.5)[sure])
-        some = sure & (slot >= 0)
-        chosen = np.take_along_axis(d, np.maximum(slot, 0)[..., None], -1)[..., 0]
-        np.testing.assert_allclose(chosen[some], nearest[some], rtol=0, atol=1e-3)
-        assert some.sum() > 300
+    d = np.where(entries.reshape(-1)[:count] // 30 == (xs // 20 + ys // 18 * 2)[..., None], d, np.inf)
+    sure = np.abs(d - 2.5).min(-1) > 1e-3
+    np.testing.assert_array_equal((found >= 0)[sure], (expected >= 0)[sure])
+    outside = sure & (front[..., 0] < 0)
+    np.testing.assert_array_equal((found >= 0)[outside], (d.min(-1) < 2.5)[outside])
+    some = sure & (found >= 0)
+    chosen = [np.take_along_axis(d, np.maximum(slot, 0)[..., None], -1)[..., 0][some] for slot in (found, expected)]
+    np.testing.assert_allclose(*chosen, rtol=0, atol=1e-3)
+    assert (some & outside).sum() > 150 and (some & ~outside).sum() > 150

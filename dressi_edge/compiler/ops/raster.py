@@ -170,36 +170,28 @@ if (entry >= 0) {
 """
 _SEGMENT_VARYINGS = (("int", "code"), ("vec2", "center"), ("vec4", "segment"))
 _NEAREST = """
-vec2 q = gl_FragCoord.xy - center;
-float d = sqrt(segment_distance2(q, segment));
-if (d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h})) discard;
+ivec2 cell_size = ivec2({cell_w}, {cell_h});
+vec2 q = gl_FragCoord.xy - center, along = segment.zw - segment.xy;
+vec2 foot = segment.xy + clamp(dot(q - segment.xy, along) / max(dot(along, along), 1e-20), 0.0, 1.0) * along, across = foot - q;
+float d = length(across);
+ivec2 beyond = ivec2(floor(foot + across / max(d, 1e-10) + 0.5 * vec2(cell_size)));
+beyond = ivec2(center - 0.5 * vec2(cell_size)) + clamp(beyond, ivec2(0), cell_size - 1);
+bool inner = {front}(pixel) >= 0 && {front}(beyond) >= 0;
+if (inner || d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h})) discard;
 gl_FragDepth = 0.9999 * d / float({radius});
 {y} = code;
 """
-op("rasterize_segments", "segments entries count", infer=_code(1), reads="vertex vertex count", stage="raster", functions=FUNCTIONS,
+op("rasterize_segments", "segments entries front count", infer=_code(1), reads="vertex vertex texel count", stage="raster",
    ref=reference.rasterize_segments, cost=200,
-   draws=(Draw(_AROUND, _NEAREST, _SEGMENT_VARYINGS,
-               vertices=(6, "slots"), count="count"),),
-   doc="For each pixel the slot of the nearest listed segment within `radius` in its cell, the first of equals; -1 where there is none.")
+   draws=(Draw(_AROUND, _NEAREST, _SEGMENT_VARYINGS, vertices=(6, "slots"), count="count"),),
+   doc="For each pixel the slot of the nearest listed segment within `radius` in its cell that is outline for it, the first of equals; -1 "
+       "where there is none. Outline: `front` does not cover the pixel, or not the one that lies a pixel beyond the nearest point.")
 
 op("within_tiles", "code tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absent=((1, -1),), reads="own tile", cost=40,
    ref=lambda code, tiles, tile: np.where(spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
    glsl="{y} = {tiles} != 0 ? {code} : -1;",
    sample=lambda rng: ([rng.integers(-1, 9, (20, 35, 1)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),
    doc="A code inside the tiles that are marked, -1 outside: what depends on it is drawn for those tiles alone.")
-
-op("outline", "code slot segment position", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absorbs_negative=(1,),
-   reads="texel own own own", ref=reference.outline, cost=20, functions=FUNCTIONS,
-   glsl="""{y} = 0;
-{ vec2 d_ = {segment}.zw - {segment}.xy, o_ = {position} - {segment}.xy;
-  vec2 foot_ = {segment}.xy + clamp(dot(o_, d_) / max(dot(d_, d_), 1e-20), 0.0, 1.0) * d_, across_ = foot_ - {position};
-  ivec2 cell_ = ivec2({cell_w}, {cell_h});
-  ivec2 at_ = ivec2(floor(foot_ + across_ * inversesqrt(max(dot(across_, across_), 1e-20)) + 0.5 * vec2(cell_)));
-  at_ = {p} / cell_ * cell_ + clamp(at_, ivec2(0), cell_ - 1);
-  {y} = {slot} >= 0 && ({code}({p}) < 0 || {code}(at_) < 0) ? 1 : 0; }""",
-   sample=lambda rng: ([np.where(np.add.outer(np.arange(12), np.arange(14)) > 12, 1, -1)[..., None], rng.integers(-1, 3, (12, 14, 1)),
-                        rng.uniform(-3, 3, (12, 14, 4)), rng.uniform(-3, 3, (12, 14, 2))], {"cell_w": 7, "cell_h": 6}),
-   doc="1 where a pixel's segment is outline: the pixel is not covered, or the one a pixel beyond the segment's nearest point is not.")
 
 op("fold_segments", "segments clip edges", infer=lambda name, inputs, attrs: ("vec4", inputs[0].extent), reads="own texel texel",
    ref=reference.fold_segments, cost=40,

@@ -84,36 +84,28 @@ def rasterize_hard(clip, faces, extent, **attrs):
     return code[..., None]
 
 
-def rasterize_segments(segments, entries, count, extent, radius, edge_count, cell_w, cell_h, columns, slots):
+def rasterize_segments(segments, entries, front, count, extent, radius, edge_count, cell_w, cell_h, columns, slots):
     code = np.full((extent.height, extent.width), -1, np.int64)
     nearest = np.full((extent.height, extent.width), np.inf)
-    half = np.array([cell_w / 2, cell_h / 2])
+    cell = np.array([cell_w, cell_h])
     for slot, entry in enumerate(entries.reshape(-1)[:int(count.reshape(-1)[-1]) // 6]):
-        view, s = entry // edge_count, segments.reshape(-1, 4)[slot]
-        corner, ends = np.array([view % columns * cell_w, view // columns * cell_h]), s.reshape(2, 2)
-        lo = np.clip(np.floor(ends.min(0) - radius - 1 + half), 0, [cell_w, cell_h]).astype(int)
-        hi = np.clip(np.ceil(ends.max(0) + radius + 1 + half), 0, [cell_w, cell_h]).astype(int)
+        view, (a, b) = entry // edge_count, segments.reshape(-1, 2, 2)[slot]
+        corner = np.array([view % columns, view // columns]) * cell
+        lo = np.clip(np.floor(np.minimum(a, b) - radius - 1 + cell / 2), 0, cell).astype(int)
+        hi = np.clip(np.ceil(np.maximum(a, b) + radius + 1 + cell / 2), 0, cell).astype(int)
         if (hi <= lo).any():
             continue
         ys, xs = (g.ravel() for g in np.mgrid[lo[1]:hi[1], lo[0]:hi[0]])
-        d = np.sqrt(segment_distance2(np.stack([xs, ys], 1) + 0.5 - half, s))
+        p = np.stack([xs, ys], 1) + 0.5 - cell / 2
+        foot = a + np.clip((p - a) @ (b - a) / max((b - a) @ (b - a), 1e-20), 0, 1)[:, None] * (b - a)
+        d = np.linalg.norm(foot - p, axis=1)
+        beyond = foot + (foot - p) / np.maximum(d, 1e-10)[:, None]
+        at = corner + np.clip(np.floor(beyond + cell / 2), 0, cell - 1).astype(int)
         ys, xs = ys + corner[1], xs + corner[0]
-        nearer = (d <= radius) & (d < nearest[ys, xs])
+        clear = (front[ys, xs, 0] < 0) | (front[at[:, 1], at[:, 0], 0] < 0)
+        nearer = clear & (d <= radius) & (d < nearest[ys, xs])
         code[ys[nearer], xs[nearer]], nearest[ys[nearer], xs[nearer]] = slot, d[nearer]
     return code[..., None]
-
-
-def outline(code, slot, segment, position, cell_w, cell_h):
-    a, d = segment[..., :2], segment[..., 2:] - segment[..., :2]
-    t = np.clip(((position - a) * d).sum(-1) / np.maximum((d * d).sum(-1), 1e-20), 0, 1)
-    foot = a + t[..., None] * d
-    across = foot - position
-    beyond = foot + across / np.sqrt(np.maximum((across * across).sum(-1, keepdims=True), 1e-20))
-    cell = np.array([cell_w, cell_h])
-    own = np.stack(np.meshgrid(np.arange(code.shape[1]), np.arange(code.shape[0])), -1)
-    at = own // cell * cell + np.clip(np.floor(beyond + cell / 2), 0, cell - 1).astype(int)
-    clear = (code[..., 0] < 0) | (code[at[..., 1], at[..., 0], 0] < 0)
-    return ((slot[..., 0] >= 0) & clear).astype(np.int64)[..., None]
 
 
 def fold_segments(segments, clip, edges, edge_count, vertices):

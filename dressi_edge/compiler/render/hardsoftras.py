@@ -223,6 +223,7 @@ class _Rasterized:
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
+
 class Outline(_Rasterized):
     """Distance "outline": the front faces, drawn hard, and around the mesh's fold and boundary edges the nearest of them.
 
@@ -235,18 +236,18 @@ class Outline(_Rasterized):
         count, r = len(topology.edges), float(softness.r)
         folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
                       edge_count=count, vertices=topology.vertex_count)
-        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
         edges = compact(self._in_cell(folds), each=6)
         segments = edges.gather(self.segments)
         fixed = stop_gradient(segments)
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
         boxes = _boxes(minimum(fixed.xy, fixed.zw), maximum(fixed.xy, fixed.zw), exists, r + 0.05, view, atlas)
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
-        slot = apply("rasterize_segments", fixed, edges.entries, edges.running, **listed)
+        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
+        slot = apply("rasterize_segments", fixed, edges.entries, front, edges.running, **listed)
         slot = apply("within_tiles", slot, apply("occupied", slot, side=TILE), tile=(TILE, TILE))
         hard = front >= 0
         segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r)
-        beside = apply("outline", front, slot, stop_gradient(segment), self.position, cell_w=atlas.width, cell_h=atlas.height)
+        beside = slot >= 0
         dist, point = self._nearest(segment, hard)
         owner = lookup(constant_table(topology.edge_faces[:, 0]), select(exists, edges.entries - view * count, 0)) \
             + view * len(topology.faces)
