@@ -6,6 +6,7 @@ docs/bundle-format.md has it; fp32 values are written so that they come back exa
 """
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from dressi_edge.compiler.render.texture import sample_texture
 from dressi_edge.compiler.topology import Topology
 
 FOLDER = Path(__file__).parent / "vectors"
+GLSLANG = "11:12.0.0"  # Debian 12's, which wrote the vectors' SPIR-V; the word in a module that names its maker has no version
 PROFILE = "lavapipe"
 UNIT = Layout("unit", "float")
 
@@ -131,6 +133,12 @@ def compiled(name: str) -> tuple[bytes, list]:
     made = [(description, assembler.blobs) for description, assembler in (
         describe(program, Profile.load(profile)) for profile in PROFILES.get(name, (PROFILE,)))]
     return dumps(*(combine(made) if len(made) > 1 else made[0])), steps
+
+
+def same_compiler() -> bool:
+    """Whether compiling here must give the bytes of the vectors."""
+    told = subprocess.run(["glslangValidator", "--version"], capture_output=True, text=True).stdout
+    return f"Version: {GLSLANG}\n" in told
 
 
 def perform(session, step: tuple):

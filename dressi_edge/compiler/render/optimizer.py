@@ -44,8 +44,9 @@ def _limit(x: Node, low, high) -> Node:
     return maximum(x, low) if low is not None else minimum(x, high) if high is not None else x
 
 
-def _decay(step: Node, factor: float) -> Node:
-    return select(step > 0, factor, 0.0)
+def _decay(step: Node, factor: float, like: Node) -> Node:
+    """The factor of a moment, compared at every texel: cheaper than one more image between two passes."""
+    return select(apply("broadcast", step, extent=like.extent) > 0, factor, 0.0)
 
 
 def one_minus_power(base: float, t: Node) -> Node:
@@ -89,7 +90,7 @@ class Sgd:
         rate, updates = self.rate.node(step), {}
         if self.momentum:
             key = f"{name}.momentum"
-            updates[key] = buffer = _moment(program, key, name) * _decay(step, self.momentum) + g
+            updates[key] = buffer = _moment(program, key, name) * _decay(step, self.momentum, g) + g
             g = g + buffer * self.momentum if self.nesterov else buffer
         return {name: _limit(parameter - g * rate, low, high), **updates}
 
@@ -126,8 +127,8 @@ class Adam:
         _check(program, name, parameter, gradient, step)
         (beta1, beta2), (m_name, v_name) = self.betas, (f"{name}.adam_m", f"{name}.adam_v")
         g = gradient if mask is None else gradient * mask
-        m = _moment(program, m_name, name) * _decay(step, beta1) + g * (1.0 - beta1)
-        v = _moment(program, v_name, name) * _decay(step, beta2) + g * g * (1.0 - beta2)
+        m = _moment(program, m_name, name) * _decay(step, beta1, g) + g * (1.0 - beta1)
+        v = _moment(program, v_name, name) * _decay(step, beta2, g) + g * g * (1.0 - beta2)
         t = to_float(step + 1)
         # rate (m / c1) / (sqrt(v / c2) + epsilon), with the scalars drawn together
         root = sqrt(one_minus_power(beta2, t))
