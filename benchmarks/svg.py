@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 WIDTH, HEIGHT = 460, 340
-LEFT, RIGHT, TOP, BOTTOM = 62, 14, 34, 46
+LEFT, RIGHT, TOP, BOTTOM = 62, 14, 44, 46
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,12 @@ def chart(title: str, x_name: str, y_name: str, series: Sequence[Series], legend
             d, gaps = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places), ' stroke-dasharray="5 4"' if s.dashed else ""
             out.append(f'<path d="{d}" fill="none" stroke="{s.color}"{gaps}/>')
         for x, y in places if s.radius else ():
-            fill = "#fff" if s.hollow else s.color
+            fill = "none" if s.hollow else s.color
             out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{s.radius:g}" fill="{fill}" stroke="{s.color}"/>')
-        out += [text(x + 6, y - 4, label, 9, "start", color=s.color) for (x, y), label in zip(places, s.labels)]
+        out += [text(x + 6, y - 4, label, 9, "start", color=s.color) for (x, y), label in zip(places, s.labels) if label]
     for k, (name, color) in enumerate(legend.items()):
-        y = TOP + 14 + 14 * k
-        out += [f'<rect x="{WIDTH - RIGHT - 118}" y="{y - 8}" width="9" height="9" fill="{color}"/>',
-                text(WIDTH - RIGHT - 104, y, name, 10, "start")]
+        x = LEFT + 84 * k
+        out += [f'<rect x="{x}" y="29" width="9" height="9" fill="{color}"/>', text(x + 14, 38, name, 10, "start")]
     return "\n".join(out)
 
 
