@@ -3,6 +3,7 @@
 import json
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from conftest import SHARED
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import error_vs_time
 import metrics
 import reconstruct
 import sphere_to_spot
@@ -88,6 +90,35 @@ def test_sphere_to_spot_quick(tmp_path):
     for row in document["results"]:
         assert row["distance_40"] < 0.7 * document["start_distance"]
         assert row["iou"] > 0.9
+
+
+def test_error_vs_time_quick(tmp_path):
+    error_vs_time.main(["--quick", "--json", str(tmp_path / "out.json"), "--plot", str(tmp_path / "out.svg")])
+    document = json.loads((tmp_path / "out.json").read_text())
+    assert {"device", "versions", "results"} <= document.keys()
+    rows = {part: [row for row in document["results"] if row["part"] == part] for part in error_vs_time.PARTS}
+    assert all(rows.values()) and all(row["ms"] > 0 and row["cpu_ms"] >= 0 for row in document["results"])
+    by = {(row["distance"], row["K"], row["profile"]): row["error"] for row in rows["gradient"] if row["swept"] == "r"}
+    assert by["outline", 1, "lavapipe"] < 0.1 < by["face", 1, "lavapipe"]
+    assert by["outline", 1, "lavapipe"] == by["outline", 1, "limit4"], "packing changes no gradient"
+    for row in rows["texture"]:
+        assert row["cosine"] > 0.2 and (row["error"] < 1e-4) == (row["gradient"] == "exact")
+    for row in rows["fit"] + rows["layers"]:
+        assert row["distance"][-1] < row["distance"][0], row["case"]
+    assert len(ElementTree.parse(tmp_path / "out.svg").getroot()) == 1 + 7
+
+
+def test_the_front_is_what_nothing_beats_in_both():
+    assert error_vs_time.front([(3, 1), (1, 5), (2, 5), (2, 2), (4, 1.5)]) == [(1, 5), (2, 2), (3, 1)]
+
+
+def test_rows_of_a_part_that_is_not_run_stay(tmp_path):
+    kept = {"part": "layers", "case": "old", "mesh": "pear", "distance_by": "face", "K": 1, "r": 1.0, "ms": 1.0, "cpu_ms": 1.0,
+            "steps": [1, 2], "seconds": [1, 2], "cpu_seconds": [1, 2], "distance": [0.2, 0.1]}
+    document = {"device": "d", "versions": {"driver": "v"}, "results": [kept]}
+    (tmp_path / "out.json").write_text(json.dumps(document))
+    error_vs_time.main(["--part", "--json", str(tmp_path / "out.json"), "--plot", str(tmp_path / "out.svg")])
+    assert json.loads((tmp_path / "out.json").read_text()) == document
 
 
 def check(document, cases):

@@ -100,7 +100,7 @@ def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path
     ("name = \"paint\"", "name = \"shape\"", "phase 'shape': a new name without dots"),
     ("optimize.colors", "optimize.colours", "no parameter 'colours'; there are: vertices colors"),
     ("optimize.colors", "optimize.texture", "no parameter 'texture'"),
-    ("rate = 0.1", "rate = \"fast\"", "phase[1].optimize.colors: rate is 'fast'; a finite number is needed"),
+    ("rate = 0.1", "rate = \"fast\"", "phase[1].optimize.colors: rate is 'fast'; a finite number of fp32 is needed"),
     ("\"sgd\"", "\"lbfgs\"", "phase[1].optimize.colors.optimizer is 'lbfgs'; allowed: adam sgd"),
     ("kind = \"silhouette\"", "kind = \"silhouete\"", "phase[0].loss[0].kind is 'silhouete'; did you mean silhouette?"),
     ("kind = \"laplacian\"", "kind = \"laplacian\"\nnorm = \"l1\"", "norm is no setting of loss laplacian"),

@@ -29,6 +29,7 @@ from dressi_edge.compiler.render.hardsoftras import Softness
 from dressi_edge.compiler.render.objective import cotangent_laplacian, normal_consistency, uniform_laplacian
 from dressi_edge.compiler.render.optimizer import Adam
 from dressi_edge.compiler.render.problem import Loss, Problem
+from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.render.texture import sample_texture
 from dressi_edge.compiler.scene import Mesh, sphere
 from dressi_edge.compiler.topology import Topology
@@ -388,6 +389,20 @@ def test_targets_that_are_not_numbers_are_an_error_before_any_work(gpu, bad):
             session.step()
         with pytest.raises(InputError, match="vertices has 36 values that are NaN or Inf"):
             session.set("vertices", np.full((12, 3), bad))
+
+
+def test_numbers_that_fp32_does_not_hold_are_an_error_before_anything_is_compiled():
+    with pytest.raises(InputError, match="light: power is .*finite in fp32"):
+        Light("ambient", (1.0, 1e39, 1.0))
+    with pytest.raises(InputError, match="rate is 1e.39; a finite number of fp32"):
+        Adam(1e39)
+    with pytest.raises(InputError, match=r"targets\[1, 3, 4, 2\] is -1e\+39, beyond the range of fp32"):
+        targets = np.zeros((2, 17, 20, 4))
+        targets[1, 3, 4, 2] = -1e39
+        Program().input("targets", Layout("atlas", "vec4", 20, 17, 2), targets)
+    problem = small_problem(background=(0.0, 1e39, 0.0))
+    with pytest.raises(InputError, match="literal .*1e.39.*finite in fp32"):
+        problem.render("view")
 
 
 @pytest.mark.parametrize("gradient", ["exact", "inverse_uv"])

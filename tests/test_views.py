@@ -143,6 +143,11 @@ def test_orbit_goes_once_round():
     (dict(world_to_camera=np.diag([2.0, 2, 2, 1])), "not rigid: its rotation is 3 away"),
     (dict(world_to_camera=np.diag([1.0, 1, -1, 1])), "mirrors"),
     (dict(world_to_camera=np.eye(4) + np.eye(4, k=-3)), "last row"),
+    (dict(fx=1e39), "fx is 1e.39; .*finite in fp32"), (dict(cx=-1e39), "cx is -1e.39; it must be finite in fp32"),
+    (dict(near=1e-50), "near is 1e-50; it must be above 0"), (dict(far=1e300), "far is 1e.300"),
+    (dict(world_to_camera=np.eye(4) + 1e39 * np.eye(4, k=3)), r"value 1e\+39 in row 0, column 3"),
+    (dict(fx=3e38, width=1), r"beyond the range of fp32 \(row 0, column 0\)"),
+    (dict(fx=1e30, world_to_camera=np.eye(4) + 1e30 * np.eye(4, k=3)), r"row 0, column 3\); bring the pose"),
 ])
 def test_a_malformed_camera_is_refused(changes, message):
     with pytest.raises(InputError, match=message):

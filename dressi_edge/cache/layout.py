@@ -16,6 +16,12 @@ def is_int(vtype: str) -> bool:
     return vtype.startswith("i")
 
 
+def beyond_fp32(array) -> np.ndarray:
+    """True where a number, finite or not, is NaN or Inf once it is rounded to fp32, as it is on the device."""
+    with np.errstate(over="ignore"):
+        return ~np.isfinite(np.asarray(array).astype(np.float32))
+
+
 def table_size(count: int) -> tuple[int, int]:
     """Width and height of the image that holds `count` entries: a power-of-two width (addresses are a mask and a shift), from 4 on,
     while at most 4096 rows are needed. Tall and narrow, so that entries near each other in number share a block of pixels: what one
@@ -68,6 +74,9 @@ class Layout:
         array = array.astype(np.int64 if is_int(self.vtype) else np.float64)
         if not is_int(self.vtype) and not np.isfinite(array).all():
             raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are NaN or Inf; finite numbers are needed")
+        if not is_int(self.vtype) and (bad := beyond_fp32(array)).any():
+            at = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise InputError(f"{name}{list(at) if at else ''} is {array[at]:g}, beyond the range of fp32; at most 3.4e38 is allowed")
         c, (width, height) = CHANNELS[self.vtype], self.size
         if self.kind == "table":
             padded = np.zeros((width * height, c), array.dtype)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dressi_edge.cache.errors import InputError
+from dressi_edge.cache.layout import beyond_fp32
 
 RIGID_TOLERANCE = 1e-3  # poses in text files are often rounded to six digits, or float32
 
@@ -38,11 +39,17 @@ class Camera:
             object.__setattr__(self, name, int(value))
         for name in ("fx", "fy", "cx", "cy", "near", "far"):
             value = float(getattr(self, name))
-            if not np.isfinite(value) or (value <= 0.0 and name not in ("cx", "cy")):
-                raise InputError(f"camera {name} is {value}; it must be finite{'' if name in ('cx', 'cy') else ' and above 0'}")
+            if beyond_fp32(value) or (np.float32(value) <= 0.0 and name not in ("cx", "cy")):
+                raise InputError(f"camera {name} is {value}; it must be {'' if name in ('cx', 'cy') else 'above 0 and '}finite in fp32")
             object.__setattr__(self, name, value)
         if self.far <= self.near:
             raise InputError(f"camera far is {self.far}; it must be above near, {self.near}")
+        with np.errstate(over="ignore", invalid="ignore"):
+            bad = beyond_fp32([self.projection_rows(), self.clip_rows()])
+        if bad.any():
+            row, column = (int(i) for i in np.argwhere(bad)[0][1:])
+            raise InputError(f"camera takes points to clip coordinates by numbers beyond the range of fp32 (row {row}, column "
+                             f"{column}); bring the pose, fx, fy, cx and cy nearer to the size of the scene and the image")
 
     @property
     def position(self) -> np.ndarray:
@@ -82,9 +89,9 @@ def check_rigid(matrix: np.ndarray, where: str) -> np.ndarray:
         raise InputError(f"{where} is not a 4 x 4 matrix of numbers; give four rows of four") from None
     if matrix.shape != (4, 4):
         raise InputError(f"{where} has shape {matrix.shape}; it must be (4, 4)")
-    if not np.isfinite(matrix).all():
-        row, column = np.argwhere(~np.isfinite(matrix))[0]
-        raise InputError(f"{where} has the value {matrix[row, column]} in row {row}, column {column}; it must be finite")
+    if (bad := beyond_fp32(matrix)).any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(f"{where} has the value {matrix[row, column]} in row {row}, column {column}; it must be finite in fp32")
     rotation = matrix[:3, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > RIGID_TOLERANCE:

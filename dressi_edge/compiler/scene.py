@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError
+from dressi_edge.cache.layout import beyond_fp32
 from dressi_edge.compiler.charts import cube_charts, texel_directions
 from dressi_edge.compiler.views import linear_to_srgb, srgb_to_linear
 
@@ -23,7 +24,7 @@ from dressi_edge.compiler.views import linear_to_srgb, srgb_to_linear
 class Mesh:
     """A triangle mesh; arrays are copied, checked and read-only.
 
-    positions: (V, 3) float64, any unit. faces: (F, 3) int32.
+    positions: (V, 3) float64 in the range of fp32, any unit. faces: (F, 3) int32.
     uvs: (T, 2) float64, v down, and uv_faces: (F, 3) int32, both or neither.
     colors: (V, 3) float64 in [0, 1], as stored. texture: (h, w, 3) float64 in [0, 1], sRGB encoded, row 0 at v = 0.
     Raises InputError for anything else.
@@ -73,10 +74,12 @@ def _floats(name: str, value: np.ndarray, shape: tuple[int | None, ...], unit: b
     if not fits or array.size == 0:
         wanted = ", ".join("n" if n is None else str(n) for n in shape)
         raise InputError(f"mesh {name} has shape {array.shape}; it must be ({wanted}), n at least 1")
-    bad = ~np.isfinite(array) if not unit else ~((array >= 0.0) & (array <= 1.0))
+    bad = beyond_fp32(array) if not unit else ~((array >= 0.0) & (array <= 1.0))
     if bad.any():
         row = tuple(int(i) for i in np.argwhere(bad)[0])
-        allowed = "values in [0, 1]; scale or clip them" if unit else "finite values; repair or drop it"
+        large = np.isfinite(array[row])
+        allowed = ("values in [0, 1]; scale or clip them" if unit else "magnitudes up to 3.4e38, those of fp32; scale it" if large else
+                   "finite values; repair or drop it")
         raise InputError(f"mesh {name}[{row[0]}] has the value {array[row]}; allowed are {allowed}")
     return array
 

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
+from ..cache.layout import beyond_fp32
 from .ir import CHANNELS, UNIT, Node, intern, is_int, rebuild
 from .ops.reduce import lower_sum
 from .optable import apply
@@ -62,7 +61,7 @@ def simplify(roots: Sequence[Node]) -> list[Node]:
     def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
         if inputs and all(x.op.name == "literal" for x in inputs) and node.extent == UNIT and node.op.stage == "pixel":
             value = node.op.ref(*(x.op.ref(_value(x)) for x in inputs), **node.attrs)[0, 0]
-            if np.isfinite(value).all():
+            if not beyond_fp32(value).any():
                 value = tuple(map(int if is_int(node.vtype) else float, value))
                 return apply("literal", value=value if len(value) > 1 else value[0])
         rule = RULES.get(node.op.name)

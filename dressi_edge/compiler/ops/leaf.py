@@ -4,6 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...cache.errors import GraphError
+from ...cache.layout import beyond_fp32
 from ..ir import CHANNELS, UNIT, Data, Extent, is_int, vector_type
 from ..optable import op
 
@@ -15,8 +16,8 @@ def _leaf(name, inputs, attrs):
 def _literal(name, inputs, attrs):
     value = attrs["value"]
     parts = value if isinstance(value, tuple) else (value,)
-    if not np.isfinite(parts).all():
-        raise GraphError(f"literal {value}: finite numbers are allowed")
+    if beyond_fp32(parts).any():
+        raise GraphError(f"literal {value}: numbers that are finite in fp32 are allowed")
     return vector_type(len(parts), isinstance(parts[0], int)), UNIT
 
 
@@ -35,8 +36,8 @@ def _constant(name, inputs, attrs):
     data: Data = attrs["data"]
     if data.array.shape != (attrs["extent"].height, attrs["extent"].width, CHANNELS[attrs["vtype"]]):
         raise GraphError(f"constant of shape {data.array.shape} does not fit {attrs['vtype']} {attrs['extent']}")
-    if not is_int(attrs["vtype"]) and not np.isfinite(data.array).all():
-        raise GraphError("constant with NaN or Inf; finite numbers are allowed")
+    if not is_int(attrs["vtype"]) and beyond_fp32(data.array).any():
+        raise GraphError("constant with NaN, Inf or numbers beyond the range of fp32; numbers that are finite in fp32 are allowed")
     return attrs["vtype"], attrs["extent"]
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from ...cache.errors import InputError
+from ...cache.layout import beyond_fp32
 from ..functions import maximum, minimum, select, to_float
 from ..ir import UNIT, Node, is_int
 from ..optable import apply, as_node
@@ -17,8 +18,8 @@ KINDS = ("constant", "exponential", "linear", "cosine", "piecewise")
 
 
 def _number(name: str, x) -> float:
-    if isinstance(x, bool) or not isinstance(x, (int, float)) or not math.isfinite(x):
-        raise InputError(f"{name} is {x!r}; a finite number is needed")
+    if isinstance(x, bool) or not isinstance(x, (int, float)) or beyond_fp32(x):
+        raise InputError(f"{name} is {x!r}; a finite number of fp32 is needed")
     return float(x)
 
 

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from ...cache.errors import InputError
+from ...cache.layout import beyond_fp32
 from ..functions import apply, dot, maximum, minimum, normalize, select
 from ..ir import Node
 
@@ -32,8 +33,8 @@ class Light:
             if name == "vector" and self.kind == "ambient":
                 continue
             x = (x,) * 3 if isinstance(x, (int, float)) and name == "power" else x
-            if x is None or len(x) != 3 or not all(isinstance(c, (int, float)) and math.isfinite(c) for c in x):
-                raise InputError(f"{self.kind} light: {name} is {x!r}; three finite numbers are needed")
+            if x is None or len(x) != 3 or not all(isinstance(c, (int, float)) and not beyond_fp32(c) for c in x):
+                raise InputError(f"{self.kind} light: {name} is {x!r}; three numbers that are finite in fp32 are needed")
             object.__setattr__(self, name, tuple(map(float, x)))
         if self.kind == "directional" and not any(self.vector):
             raise InputError("directional light: vector is zero; a direction is needed")
