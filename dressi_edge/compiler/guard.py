@@ -61,7 +61,7 @@ def _cone(node: Node, inside: set[Node], order: tuple[Node, ...]) -> tuple[Node,
 
 
 def find_guard(stage: Substage) -> Guard | None:
-    """The guard that leaves most work out, or None."""
+    """The guard that leaves most work out, by tiles if it can be, or None."""
     if stage.raster:
         return None
     inside = set(stage.nodes)
@@ -83,6 +83,7 @@ def find_guard(stage: Substage) -> Guard | None:
             continue
         cone = _cone(c, inside, stage.nodes) if c in inside else ()
         saved = total - sum(n.op.cost for n in cone)
-        if saved >= MIN_COST and (best is None or saved > best[0]):
-            best = (saved, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
+        rank = (c in tiles, saved)  # tiles that are not drawn cost nothing anywhere
+        if saved >= MIN_COST and (best is None or rank > best[0]):
+            best = (rank, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
     return best and best[1]

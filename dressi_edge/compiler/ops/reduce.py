@@ -147,3 +147,10 @@ op("edge_mask", "across tiles", infer=lambda name, inputs, attrs: ("int", inputs
    sample=lambda rng: ([rng.integers(1, 4, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
                        {"dx": 0, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
    doc="Edge mask E (paper 3.4.3): hard and other pixels in the window. Rows first by hard_window, then columns here.")
+
+op("inside_tiles", "value tiles", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[0].extent), reads="own tile", cost=2,
+   absent=((1, 0),), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",
+   ref=lambda value, tiles, tile: np.where(spread(tiles, value.shape[1], value.shape[0], tile) != 0, value, 0),
+   vjp=lambda g, y, value, tiles, tile: (apply("inside_tiles", g, tiles, tile=tile), None),
+   sample=lambda rng: ([rng.normal(size=(20, 35, 3)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),
+   doc="A value inside the tiles that are marked, zero outside: what depends on it is drawn for those tiles alone.")

@@ -22,6 +22,7 @@ from ..autodiff import gradients
 from ..cameras import Camera
 from ..functions import apply, compose, constant_table, lookup, normalize, to_int
 from ..ir import Node
+from ..ops.reduce import TILE
 from ..program import Program
 from ..scene import Mesh
 from ..topology import Topology
@@ -172,6 +173,7 @@ class Problem:
                 uv = layers.interpolate_constant(layer, self.mesh.uvs[self.mesh.uv_faces], weights)
                 color = sample_texture(self.parameters["texture"], uv, wrap=self.wrap, gradient=self.texture_grad,
                                        covered=layer.face >= 0, step=step)
+                color = apply("inside_tiles", color, apply("occupied", layer.face, side=TILE), tile=(TILE, TILE))
             elif self.albedo == "colors":
                 color = layers.interpolate(layer, self.parameters["colors"], weights)
             else:
