@@ -233,10 +233,10 @@ def cases():
     sparse = np.where(rng.random((20, 35, 1)) < 0.02, rng.integers(0, 6, (20, 35, 1)), -1)
     sparse[8:16, 8:24] = -1
     boxes = to_table(np.array([[0, 0, 35, 20], [3, 5, 30, 17], [8, 8, 24, 16], [9, 1, 9, 19], [34, 19, 35, 20], [0, 0, 8, 20]]))
-    occupied = OPS["occupied"].ref(sparse, side=8)
+    occupied = OPS["occupied"].ref(sparse, width=8, height=8)
     assert 0 < occupied.mean() < 1
-    out["occupied", "sparse"] = Case([sparse], {"side": 8}, 0)
-    out["occupied", "tiles"] = Case([sparse], {"side": 16}, 0)
+    out["occupied", "sparse"] = Case([sparse], {"width": 8, "height": 8}, 0)
+    out["occupied", "tiles"] = Case([sparse], {"width": 16, "height": 8}, 0)
     out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, occupied], {}, DEFAULT_RTOL)
     out["fetch", "outside"] = Case([rng.normal(size=(4, 5, 2)), rng.integers(-9, 20, (6, 7, 2))], {}, 0)
     uv = np.array([0.0, 1.0, -1.0, 2.0, 0.5, 1 / 16, 1 - 1 / 16, -0.26, 1.37, 7.77])

@@ -197,23 +197,24 @@ def _segment_ref(values, index, box, *_, **attrs):
 op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8,
    glsl=_LOOKUP, sample=_boxed_sample,
    vjp=lambda g, y, entries, index, box: (
-       apply("segment_sum", g, index, box, apply("occupied", index, side=BIN)), None, None),
+       apply("segment_sum", g, index, box, apply("occupied", index, width=BIN, height=BIN)), None, None),
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
-def _occupied_ref(index, side):
+def _occupied_ref(index, width, height):
     h, w, _ = index.shape
-    padded = np.full((-(-h // side) * side, -(-w // side) * side), -1)
+    padded = np.full((-(-h // height) * height, -(-w // width) * width), -1)
     padded[:h, :w] = index[..., 0]
-    return (padded.reshape(padded.shape[0] // side, side, -1, side).max((1, 3)) >= 0).astype(np.int64)[..., None]
+    return (padded.reshape(padded.shape[0] // height, height, -1, width).max((1, 3)) >= 0).astype(np.int64)[..., None]
 
 
-op("occupied", "index", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["side"], attrs["side"])), reads="texel",
-   ref=_occupied_ref, cost=64, glsl="""{ ivec2 lo_ = {p} * {side}, hi_ = min(lo_ + {side}, ivec2({index_w}, {index_h}));
+op("occupied", "index", reads="texel", ref=_occupied_ref, cost=64,
+   infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
+   glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
     int best_ = -1;
     for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {index}(ivec2(a_, b_)));
-    {y} = best_ >= 0 ? 1 : 0; }""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"side": 8}),
-   doc="1 for each square of `side` pixels in which some index is not negative.")
+    {y} = best_ >= 0 ? 1 : 0; }""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
+   doc="1 for each tile of width x height pixels in which some index is not negative.")
 
 # Bin by bin, the empty ones as loops of no turns: machines that cannot branch around a body still leave a loop early.
 _BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"

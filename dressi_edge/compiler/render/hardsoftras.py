@@ -244,7 +244,7 @@ class Outline(_Rasterized):
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
         front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
         slot = apply("rasterize_segments", fixed, edges.entries, front, edges.running, **listed)
-        slot = apply("within_tiles", slot, apply("occupied", slot, side=TILE), tile=(TILE, TILE))
+        slot = apply("within_tiles", slot, apply("occupied", slot, width=TILE, height=TILE // 2), tile=(TILE, TILE // 2))
         hard = front >= 0
         segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r)
         beside = slot >= 0

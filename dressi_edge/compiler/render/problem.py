@@ -173,7 +173,7 @@ class Problem:
                 uv = layers.interpolate_constant(layer, self.mesh.uvs[self.mesh.uv_faces], weights)
                 color = sample_texture(self.parameters["texture"], uv, wrap=self.wrap, gradient=self.texture_grad,
                                        covered=layer.face >= 0, step=step)
-                color = apply("inside_tiles", color, apply("occupied", layer.face, side=TILE), tile=(TILE, TILE))
+                color = apply("inside_tiles", color, apply("occupied", layer.face, width=TILE, height=TILE), tile=(TILE, TILE))
             elif self.albedo == "colors":
                 color = layers.interpolate(layer, self.parameters["colors"], weights)
             else:
