@@ -56,7 +56,6 @@ class DrawCode:
     vertices: int
     views: int = 1
     cell: tuple[int, int, int] | None = None
-    depth_range: tuple[float, float] = (0.0, 1.0)
     depth: bool = False
     topology: str = "triangles"
     count: Node | None = None
@@ -250,6 +249,6 @@ def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
         factor, items = draw.vertices
         over = {"count": node.inputs[node.op.params.index(draw.count)]} if draw.count else {
             "views": attrs["views"], "cell": (attrs["cell_w"], attrs["cell_h"], attrs["columns"])}
-        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], depth_range=draw.depth_range, depth=draw.depth_test,
+        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], depth=draw.depth_test,
                               topology=draw.topology, **over))
     return draws, e.bindings

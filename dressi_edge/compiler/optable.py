@@ -43,7 +43,6 @@ class Draw:
     fragment: str
     varyings: tuple[tuple[str, str], ...]
     vertices: tuple[int, str]
-    depth_range: tuple[float, float] = (0.0, 1.0)
     topology: str = "triangles"
     depth_test: bool = True
     count: str = ""

@@ -257,7 +257,7 @@ class Assembler:
             cells = [[k % columns * w, k // columns * h, w, h] for k in range(draw.views)]
         else:
             cells = [[0, 0, stage.extent.width, stage.extent.height]]
-        return {"pipeline": pipeline, "images": refs, "vertices": draw.vertices, "cells": cells, "depth_range": list(draw.depth_range),
+        return {"pipeline": pipeline, "images": refs, "vertices": draw.vertices, "cells": cells, "depth_range": [0.0, 1.0],
                 "count": -1 if draw.count is None else self._ref(draw.count, place)}
 
 

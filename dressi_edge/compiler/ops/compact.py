@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..ir import Node, table
-from ..optable import Loop, apply, op
+from ..optable import Loop, apply, at, op
+from .lookup import LOOKUP, lookup_ref
 
 CHUNK = 64
 
@@ -101,11 +102,8 @@ op("slot_of", "flags entries running", infer=lambda name, inputs, attrs: ("int",
                         np.array([[[12]]])], {"each": 3}),
    doc="Where each set entry stands in the list (by bisection); -1 for the others.")
 
-op("lookup_unique", "entries index inverse", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[1].extent),
-   absorbs_negative=(1,), reads="texel own texel", cost=8,
-   ref=lambda entries, index, inverse: np.where(
-       index >= 0, entries.reshape(-1, entries.shape[2])[np.maximum(index[..., 0], 0)], 0),
-   glsl="{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});",
+op("lookup_unique", "entries index inverse", infer=at(1), absorbs_negative=(1,), reads="texel own texel", ref=lookup_ref, cost=8,
+   glsl=LOOKUP,
    vjp=lambda g, y, entries, index, inverse: (apply("lookup_unique", g, inverse, index), None, None),
    sample=lambda rng: ([rng.normal(size=(2, 4, 3)), np.array([5, 1, 6, -1])[None, :, None],
                         np.array([-1, 1, -1, -1, -1, 0, 2, -1]).reshape(2, 4, 1)], {}),
@@ -137,7 +135,7 @@ def compact(flags: Node, each: int) -> Compact:
     while levels[-1].extent.count > CHUNK * CHUNK:
         levels.append(apply("chunk_counts", levels[-1], count=levels[-1].extent.count))
     running = apply("running_counts", levels[-1], count=levels[-1].extent.count, each=each)
-    at = apply("first_chunk", running, each=each, extent=table(flags.extent.count))
+    found = apply("first_chunk", running, each=each, extent=table(flags.extent.count))
     for counts in reversed(levels):
-        at = apply("descend", counts, at, count=counts.extent.count)
-    return Compact(flags, at.x, running, each)
+        found = apply("descend", counts, found, count=counts.extent.count)
+    return Compact(flags, found.x, running, each)

@@ -152,7 +152,7 @@ def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> 
     return apply("lookup", entries, index) if box is None else apply("lookup_boxed", entries, index, box)
 
 
-def _lookup_ref(entries, index, *_, **attrs):
+def lookup_ref(entries, index, *_, **attrs):
     flat = entries.reshape(-1, entries.shape[2])
     return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
 
@@ -173,8 +173,8 @@ def _lookup_sample(rng):
     return [to_table(rng.normal(size=(9, 3))), constant_table(rng.integers(-1, 9, 13), -1)], {}
 
 
-_LOOKUP = "{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});"
-op("lookup", "entries index", absorbs_negative=(1,), infer=at(1), reads="texel own", ref=_lookup_ref, vjp=_lookup_vjp, cost=8, glsl=_LOOKUP,
+LOOKUP = "{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});"
+op("lookup", "entries index", absorbs_negative=(1,), infer=at(1), reads="texel own", ref=lookup_ref, vjp=_lookup_vjp, cost=8, glsl=LOOKUP,
    sample=_lookup_sample, doc="A table's entry by index; zero where the index is negative.")
 
 
@@ -194,8 +194,8 @@ def _segment_ref(values, index, box, *_, **attrs):
     return out.reshape(box.shape[0], box.shape[1], -1)
 
 
-op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=_lookup_ref, cost=8,
-   glsl=_LOOKUP, sample=_boxed_sample,
+op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=lookup_ref, cost=8,
+   glsl=LOOKUP, sample=_boxed_sample,
    vjp=lambda g, y, entries, index, box: (
        apply("segment_sum", g, index, box, apply("occupied", index, width=BIN, height=BIN)), None, None),
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
@@ -255,7 +255,7 @@ def _capsules(rng):
 
 
 op("lookup_near", "entries index box segment center", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel texel",
-   ref=_lookup_ref, cost=8, glsl=_LOOKUP,
+   ref=lookup_ref, cost=8, glsl=LOOKUP,
    vjp=lambda g, y, entries, index, box, segment, center, reach: (
        apply("capsule_sum", g, index, box, segment, center, reach=reach), None, None, None, None),
    sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0}),
