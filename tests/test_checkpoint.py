@@ -14,7 +14,7 @@ import time
 import msgpack
 import numpy as np
 import pytest
-from test_session import STATES, bits, cacheable, walk
+from test_session import STATES, bits, cacheable
 
 from dressi_edge import runtime
 from dressi_edge.cache import bundle as bundles
@@ -25,21 +25,9 @@ from dressi_edge.runtime import checkpoint as checkpoints
 from dressi_edge.runtime import vk
 from dressi_edge.runtime.memory import image_bytes
 
-pytest_plugins = ["gpu"]
+pytest_plugins = ["gpu", "sessions"]
 
 ALL = (*STATES, "picture", "sum", "loss", "rate", "target")
-
-
-@pytest.fixture(scope="module")
-def bundle(gpu):
-    return gpu.compile(walk())
-
-
-@pytest.fixture
-def session(gpu, bundle):
-    with runtime.load(bundle, gpu.device) as s:
-        yield s
-    gpu.silent()
 
 
 # The same bits

@@ -10,7 +10,7 @@ from dressi_edge.cache.layout import CHANNELS, Layout, is_int
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.functions import apply, compose, lookup, mean, stop_gradient, to_float, total
 
-pytest_plugins = ["gpu"]
+pytest_plugins = ["gpu", "sessions"]
 
 IMAGE = Layout("image", "vec3", 7, 5)
 SCALARS = Layout("image", "float", 7, 5)
@@ -39,18 +39,6 @@ def walk():
 
 
 STATES = ("a", "b", "t")
-
-
-@pytest.fixture(scope="module")
-def bundle(gpu):
-    return gpu.compile(walk())
-
-
-@pytest.fixture
-def session(gpu, bundle):
-    with runtime.load(bundle, gpu.device) as s:
-        yield s
-    gpu.silent()
 
 
 def bits(session, names=(*STATES, "picture", "sum")):

@@ -9,28 +9,16 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from graphs import python
-from test_session import STATES, bits, cacheable, walk
+from test_session import STATES, bits, cacheable
 
 from dressi_edge import runtime
 from dressi_edge.cache import steps
 from dressi_edge.cache.errors import DeviceError, InputError
 from dressi_edge.runtime import vk
 
-pytest_plugins = ["gpu"]
+pytest_plugins = ["gpu", "sessions"]
 
 SECONDS = 60  # a hang is a failure
-
-
-@pytest.fixture(scope="module")
-def bundle(gpu):
-    return gpu.compile(walk())
-
-
-@pytest.fixture
-def session(gpu, bundle):
-    with runtime.load(bundle, gpu.device) as s:
-        yield s
-    gpu.silent()
 
 
 def together(*works):
