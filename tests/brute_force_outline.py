@@ -95,10 +95,9 @@ def shade(selection, clip, sigma, attributes=None, background=None) -> Rendered:
     ys, xs = np.nonzero(s.edge >= 0)
     ends = s.ends[s.edge[ys, xs]]
     start, stop, _ = face.edge_segment(clip[ends[:, 0]], clip[ends[:, 1]], s.near, s.size)
-    d, foot, _ = face.segment_distance(pixels[ys, xs], start, stop)
-    dist, points = np.full((height, width), -np.inf), pixels.copy()
+    d, _, t = face.segment_distance(pixels[ys, xs], start, stop)
+    dist = np.full((height, width), -np.inf)
     dist[ys, xs] = np.where(hard[ys, xs], d, -d)
-    points[ys, xs] = np.where(hard[ys, xs, None], pixels[ys, xs], foot)
     silhouette = np.where(s.edge >= 0, face.sigmoid(dist / sigma), hard)
     shown = s.front.copy()
     shown[ys, xs] = np.where(hard[ys, xs], shown[ys, xs], s.owner[s.edge[ys, xs]])
@@ -108,15 +107,26 @@ def shade(selection, clip, sigma, attributes=None, background=None) -> Rendered:
         attributes = np.asarray(attributes, np.float64)
         channels = attributes.shape[1]
         background = np.broadcast_to(0.0 if background is None else background, (height, width, channels))
-        ys, xs = np.nonzero(shown >= 0)
-        corners = s.faces[shown[ys, xs]]
-        b = np.clip(face.barycentrics(clip[corners], points[ys, xs], s.size), 0, 1)
-        b = b / np.maximum(b.sum(axis=-1, keepdims=True), 1e-5)
         layer = np.zeros((height, width, channels))
+        layer[ys, xs] = along_edge(clip[ends[:, 0]], clip[ends[:, 1]], attributes[ends[:, 0]], attributes[ends[:, 1]], t, s.near)
+        ys, xs = np.nonzero(hard)
+        corners = s.faces[s.front[ys, xs]]
+        b = np.clip(face.barycentrics(clip[corners], pixels[ys, xs], s.size), 0, 1)
+        b = b / np.maximum(b.sum(axis=-1, keepdims=True), 1e-5)
         layer[ys, xs] = np.einsum("ni,nia->na", b, attributes[corners])
         color = silhouette[..., None] * layer + (1 - silhouette[..., None]) * background
     m = s.margins
     return Rendered(color, silhouette, shown[..., None], dist[..., None], hard, s.edge >= 0, m.value, m.color, m.gradient)
+
+
+def along_edge(a, b, at_a, at_b, t, near):
+    """An attribute at the place t (...), 0..1 as seen, of edges between clip points a and b (..., 4), clipped to w = near."""
+    wa, wb = a[..., 3], b[..., 3]
+    cut = (near - wa) / np.where(wa == wb, 1.0, wb - wa)
+    first, last = np.where(wa < near, cut, 0.0), np.where(wb < near, cut, 1.0)
+    w_first, w_last = wa + first * (wb - wa), wa + last * (wb - wa)
+    s = first + (last - first) * t * w_first / ((1 - t) * w_last + t * w_first)
+    return at_a + s[..., None] * (at_b - at_a)
 
 
 def _front(clip, faces, pixels, size, near):

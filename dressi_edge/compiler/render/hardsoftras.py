@@ -20,6 +20,7 @@ from ..functions import (
     compose,
     constant_table,
     dot,
+    equal,
     lookup,
     maximum,
     minimum,
@@ -140,13 +141,15 @@ def _boxes(low: Node, high: Node, exists: Node, reach: float, view: Node, atlas:
 @dataclass(frozen=True)
 class Layer:
     """One peel: global face index (-1 none), hard flag, signed distance in pixels, probability (0 where there is none), and the
-    point of the face nearest to the pixel, relative to the cell's centre."""
+    point of the face nearest to the pixel, relative to the cell's centre. far: the corner (0..2) of the sorted face that is not on
+    the edge on which the point lies, 3 where it lies on none; None where that is not known."""
 
     face: Node
     hard: Node
     dist: Node
     probability: Node
     point: Node
+    far: Node | None = None
 
 
 class _Rasterized:
@@ -194,10 +197,17 @@ class _Rasterized:
 
     def barycentrics(self, layer: Layer) -> list[Node]:
         """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
-        point; Olano and Greer 1997). A third each, without gradient, where the face is too thin on screen for fp32 to tell."""
+        point; Olano and Greer 1997). A third each, without gradient, where the face is too thin on screen for fp32 to tell.
+
+        A point on an edge has nothing of the far corner, wherever that is: it is put across from the edge, as far away as the edge is
+        long, so that the other two keep their digits however thin the face is. The gradient by it is 0 anyhow."""
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
         h = [apply("swizzle", lookup(c, layer.face, self.face_boxes), channels="xyw") * scale for c in self.corners(self.clip, True)]
         a = [x.xy - layer.point * x.z for x in h]
+        if layer.far is not None:
+            start, stop = (stop_gradient(select(equal(layer.far, k), a[1], a[k])) for k in (0, 2))
+            across = compose(start.x + start.y - stop.y, start.y + stop.x - start.x)
+            a = [select(equal(layer.far, k), across, x) for k, x in enumerate(a)]
         e = [_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])]
         total = e[0] + e[1] + e[2]
         size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
@@ -249,11 +259,13 @@ class Outline(_Rasterized):
         segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r)
         beside = slot >= 0
         dist, point = self._nearest(segment, hard)
-        owner = lookup(constant_table(topology.edge_faces[:, 0]), select(exists, edges.entries - view * count, 0)) \
-            + view * len(topology.faces)
-        face = select(hard, front, select(beside, lookup(owner, slot), -1))
+        first = topology.edge_faces[:, 0]
+        far = np.array((2, 0, 1))[(topology.face_edges[first] == np.arange(count)[:, None]).argmax(axis=1)]
+        owner = lookup(constant_table(first * 4 + far), select(exists, edges.entries - view * count, 0)) + view * (4 * len(topology.faces))
+        shown = lookup(owner, slot)
+        face = select(hard, front, select(beside, apply("shift_right", shown, 2), -1))
         probability = select(beside, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
-        self.layers = [Layer(face, hard, dist, probability, point)]
+        self.layers = [Layer(face, hard, dist, probability, point, select(hard, 3, apply("bit_and", shown, 3)))]
 
     def _in_cell(self, segments: Node) -> Node:
         """1 for segments that come within r of their cell."""
