@@ -192,8 +192,8 @@ class Graph:
     def _window(self, a):
         codes = apply("select", self._condition(extent_named("wide")), 1, -1)
         window = {"cell_w": EXTENTS["wide"][0], "cell_h": EXTENTS["wide"][1], "tile": (16, 16)}
-        tiles = apply("edge_tiles", codes, reach=2)
-        across = apply("hard_window", codes, tiles, dx=1, dy=0, **window)
+        tiles = apply("edge_tiles", codes, reach=2, tile=(16, 16))
+        across = apply("covered_window", codes, tiles, dx=1, dy=0, **window)
         return apply("to_float", apply("edge_mask", across, tiles, dx=0, dy=2, **window))
 
     def _sample(self, a):

@@ -68,21 +68,23 @@ def test_one_by_one_stands_for_any_extent():
 
 
 def layers_of(scene, layers):
-    """Codes (h, w, layers) of the reference's raster ops."""
+    """Codes (h, w, layers) of the reference's raster ops, -2 outside the edge mask, where they are not meant."""
     w, h = scene.size
     topology = Topology(np.asarray(scene.faces), len(scene.clip))
     clip, atlas = constant(to_table(scene.clip), table(len(scene.clip))), Atlas(w, h, 1, 1)
     found = {}
-    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS), Softness(RADIUS, distance="face")):
-        for n in topological([layer.face for layer in rasterized(clip, topology, atlas, softness, scene.near).layers]):
-            if n.op.stage == "raster":
+    for softness in (Softness(RADIUS, layers=layers), Softness(RADIUS, distance="face")):
+        made = rasterized(clip, topology, atlas, softness, scene.near)
+        for n in topological([made.edge_mask, *(layer.face for layer in made.layers)]):
+            if n.op.stage == "raster" or n is made.edge_mask:
                 found.setdefault(n.op.name, []).append(n)
-    *peels, single, hard = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
-                                     *found["rasterize_hard"]])
+    *peels, single, hard, mask = evaluate([*found["rasterize_first"], *found["rasterize_peel"], *found["rasterize"],
+                                           *found["rasterize_hard"][:1], *found["inside_tiles"][:1]])
     assert len(peels) == layers
     np.testing.assert_array_equal(single[..., 0], peels[0][..., 0])
-    np.testing.assert_array_equal(hard, np.where((single >= 0) & (single & 1 == 1), single >> 1, -1))
-    return np.stack([p[..., 0] for p in peels], 2)
+    front = np.where((single >= 0) & (single & 1 == 1), single >> 1, -1)
+    np.testing.assert_array_equal(hard[mask != 0], front[mask != 0])
+    return np.where(mask != 0, np.concatenate([p[..., :1] for p in peels], 2), -2)
 
 
 @pytest.mark.parametrize("name", scenes())
@@ -91,9 +93,11 @@ def test_peels_are_the_layers_of_the_oracle(name):
     codes = layers_of(scene, 5)
     expected = brute_force.select(scene.clip, scene.faces, scene.size, RADIUS, layers=5, near=scene.near)
     found, hard = np.where(codes >= 0, codes >> 1, -1), (codes >= 0) & (codes & 1 == 1)
-    sure = expected.margins.color > 1e-9
+    meant = codes[..., 0] > -2
+    np.testing.assert_array_equal(meant, expected.edge_mask)
+    sure = meant & (expected.margins.color > 1e-9)
     np.testing.assert_array_equal(found[sure], expected.face[sure])
-    nearly = expected.margins.value > 1e-9  # equally far faces may change places, but which are there does not change
+    nearly = meant & (expected.margins.value > 1e-9)  # equally far faces may change places, but which are there does not change
     np.testing.assert_array_equal(hard[nearly], expected.inside[nearly])
     np.testing.assert_array_equal((found >= 0)[nearly], (expected.face >= 0)[nearly])
 
@@ -102,8 +106,8 @@ def test_equal_faces_are_peeled_by_index():
     """Equation 3 with ties: two copies of one triangle, the lower index in front, both hard and soft."""
     codes = layers_of(scenes()["coincident"], 3)
     some = codes[..., 0] >= 0
-    assert some.sum() > 50 and ((codes[..., 0] >> 1)[some] == 0).all() and ((codes[..., 1] >> 1)[some] == 1).all()
-    assert (codes[..., 2] == -1).all()
+    assert some.sum() > 30 and ((codes[..., 0] >> 1)[some] == 0).all() and ((codes[..., 1] >> 1)[some] == 1).all()
+    assert (codes[..., 2] < 0).all()
 
 
 def test_every_raster_op_has_a_reference():

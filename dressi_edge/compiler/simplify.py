@@ -26,6 +26,10 @@ def _zero(like: Node) -> Node | None:
     return apply("literal", value=0 if is_int(like.vtype) else 0.0) if CHANNELS[like.vtype] == 1 and like.extent.count == 1 else None
 
 
+def _channel(x: Node, k: int) -> Node:
+    return x if x.channels == 1 else apply("swizzle", x, channels="xyzw"[k])
+
+
 # op -> (inputs, node) -> replacement or None
 RULES = {
     "add": lambda x, n: _as(x[1], n) if _value(x[0]) == 0 else _as(x[0], n) if _value(x[1]) == 0 else None,
@@ -37,7 +41,7 @@ RULES = {
     "stop_gradient": lambda x, n: x[0],
     "broadcast": lambda x, n: _as(x[0], n),
     "lookup_boxed": lambda x, n: apply("lookup", *x[:2]),  # what else these three take is for the transpose alone
-    "lookup_near": lambda x, n: apply("lookup", *x[:2]),
+    "lookup_near": lambda x, n: apply("lookup", x[0], _channel(x[1], n.attrs["channel"])),
     "lookup_unique": lambda x, n: apply("lookup", *x[:2]),
     "swizzle": lambda x, n: _swizzle(x[0], n),
     "shift_right": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,

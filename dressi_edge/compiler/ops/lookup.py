@@ -201,20 +201,24 @@ op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), read
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
-def _occupied_ref(index, width, height):
-    h, w, _ = index.shape
-    padded = np.full((-(-h // height) * height, -(-w // width) * width), -1)
-    padded[:h, :w] = index[..., 0]
-    return (padded.reshape(padded.shape[0] // height, height, -1, width).max((1, 3)) >= 0).astype(np.int64)[..., None]
+def _any_ref(least):
+    def ref(index, width, height):
+        h, w, _ = index.shape
+        padded = np.full((-(-h // height) * height, -(-w // width) * width), -1)
+        padded[:h, :w] = index[..., 0]
+        return (padded.reshape(padded.shape[0] // height, height, -1, width).max((1, 3)) >= least).astype(np.int64)[..., None]
+    return ref
 
 
-op("occupied", "index", reads="texel", ref=_occupied_ref, cost=64,
-   infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
-   glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
+for _name, _least, _what in (("occupied", 0, "index is not negative"), ("marked", 1, "mask is positive")):
+    op(_name, "index", reads="texel", ref=_any_ref(_least), cost=64,
+       infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
+       glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
     int best_ = -1;
     for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {index}(ivec2(a_, b_)));
-    {y} = best_ >= 0 ? 1 : 0; }""", sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
-   doc="1 for each tile of width x height pixels in which some index is not negative.")
+    {y} = best_ >= LEAST ? 1 : 0; }""".replace("LEAST", str(_least)),
+       sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
+       doc=f"1 for each tile of width x height pixels in which some {_what}.")
 
 # Bin by bin, the empty ones as loops of no turns: machines that cannot branch around a body still leave a loop early.
 _BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"
@@ -231,13 +235,13 @@ op("segment_sum", "values index box occupied", infer=at(2), reads="texel texel o
    doc="Transpose of lookup_boxed: for each entry the sum, over the occupied bins of its box, of the pixels that name it.")
 
 # Rows of a capsule: the slab within `reach` of the segment's line, one pixel wider; the whole box where the line is nearly level.
-_CAPSULE = """vec2 d_ = {segment}.zw - {segment}.xy;
+_CAPSULE = """{ vec2 d_ = {segment}.zw - {segment}.xy;
 bool level_ = abs(d_.y) < 0.25;
 float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float({reach}) * length(d_) / abs(d_.y) + 1.0;
 for (int b_ = {box}.y; b_ < {box}.w; ++b_) {
 float at_ = {center}.x + {segment}.x + (float(b_) + 0.5 - {center}.y - {segment}.y) * slope_ - 0.5;
 ivec2 row_ = ivec2(clamp(vec2(ceil(at_ - wide_), floor(at_ + wide_) + 1.0), vec2({box}.xx), vec2({box}.zz)));
-for (int a_ = row_.x; a_ < row_.y; ++a_) { ivec2 q_ = ivec2(a_, b_); if ({index}(q_) == {i}) {"""
+for (int a_ = row_.x; a_ < row_.y; ++a_) { ivec2 q_ = ivec2(a_, b_); ivec4 named_ = ivec4({index}(q_));"""
 
 
 def _capsules(rng):
@@ -254,16 +258,22 @@ def _capsules(rng):
     return index, to_table(box), to_table(ends), to_table(np.tile([6.0, 5.0], (4, 1)))
 
 
+def _near_ref(entries, index, *_, channel, reach):
+    return lookup_ref(entries, index[..., channel:channel + 1])
+
+
 op("lookup_near", "entries index box segment center", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel texel",
-   ref=lookup_ref, cost=8, glsl=LOOKUP,
-   vjp=lambda g, y, entries, index, box, segment, center, reach: (
-       apply("capsule_sum", g, index, box, segment, center, reach=reach), None, None, None, None),
-   sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0}),
-   doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one they name.")
-op("capsule_sum", "values index box segment center", infer=at(2), reads="texel texel own own own", ref=_segment_ref, cost=300,
-   vjp=lambda g, y, values, index, *_, **attrs: (apply("lookup", g, index), None, None, None, None),
-   loop=Loop(_CAPSULE, "{y} += {values}(q_);", "} } }"),
-   sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0}),
+   ref=_near_ref, cost=8, glsl=LOOKUP.replace("{index}", "ivec4({index})[{channel}]"),
+   vjp=lambda g, y, entries, index, box, segment, center, **attrs: (
+       apply("capsule_sum", g, index, box, segment, center, **attrs), None, None, None, None),
+   sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
+   doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one that a channel of the "
+       "index, int or ivec4, names: sums over several channels share one loop.")
+op("capsule_sum", "values index box segment center", infer=at(2), reads="texel texel own own own", cost=300,
+   ref=lambda values, index, box, *_, channel, reach: _segment_ref(values, index[..., channel:channel + 1], box),
+   vjp=lambda g, y, values, index, *where, **attrs: (apply("lookup_near", g, index, *where, **attrs), None, None, None, None),
+   loop=Loop(_CAPSULE, "if (named_[{channel}] == {i}) {y} += {values}(q_);", "} } }"),
+   sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
    doc="Transpose of lookup_near: for each segment the sum over the pixels of its box and within `reach` that name it.")
 
 op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,

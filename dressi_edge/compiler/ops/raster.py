@@ -1,9 +1,10 @@
 """Rasterize: which face covers or comes near each pixel (paper 3.4.2, Algorithm 2). No backward: distances, barycentrics and
 attributes are recomputed by ordinary ops from the face index (paper, Appendix A), so every gradient comes from the AD.
 
-Inputs are tables: `clip` (V views x vertices, clip coordinates), `faces` (corners sorted by vertex index). A draw has one instance a
-view, `vertices` invocations an item, and pulls everything by `gl_VertexIndex`: no geometry shader, no primitive id. The result of a
-pixel is the code `2 (view F + face) + hard`, or -1; peels add the bits of the shifted depth (equation 3, soft depths scaled by r).
+Inputs are tables: `clip` (V views x vertices, clip coordinates), `faces` (corners sorted by vertex index). A draw of all faces has one
+instance a view, one of a list (`entries`, here view F + face, ascending) a single one for the atlas. Both have `vertices` invocations
+an item and pull everything by `gl_VertexIndex`: no geometry shader, no primitive id. The result of a pixel is the code
+`2 (view F + face) + hard`, or -1; peels add the bits of the shifted depth (equation 3, soft depths scaled by r).
 """
 from __future__ import annotations
 
@@ -42,13 +43,17 @@ gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 
 # Enlarge (paper 3.4.2): acute faces are stretched from the centroid until every edge has moved out by r; others, smallest angle
 # under 30 degrees, become a box along the longest edge. A face that crosses the near plane becomes an upright box.
-_ENLARGE = _PROLOGUE + """
-int f = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+_ENLARGE = """
+int entry = {entries_at}(gl_VertexIndex / 6), view = entry / {face_count}, f = entry - view * {face_count}, corner = gl_VertexIndex % 6;
+vec3 half_cell = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
+gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+if (entry < 0) return;
+center = vec2(view % {columns}, view / {columns}) * 2.0 * half_cell.xy + half_cell.xy;
 ivec3 t = {faces_at}(f);
 vec4 c0 = {clip_at}(view * {vertices} + t.x), c1 = {clip_at}(view * {vertices} + t.y), c2 = {clip_at}(view * {vertices} + t.z);
 h0 = c0.xyw * half_cell; h1 = c1.xyw * half_cell; h2 = c2.xyw * half_cell;
 depths = vec3(c0.z, c1.z, c2.z);
-code = 2 * (view * {face_count} + f);
+code = 2 * entry;
 facing = dot(h0, cross(h1 - h0, h2 - h0)) < 0.0 ? -1.0 : 1.0;
 float reach = float({radius}) + 0.02;
 s0 = clip_segment(h0, h1, {near}); s1 = clip_segment(h1, h2, {near}); s2 = clip_segment(h0, h2, {near});
@@ -84,7 +89,7 @@ if (max(max(c0.w, c1.w), c2.w) >= {near}) {
         lo = max(lo - reach, -2.0 * half_cell.xy); hi = min(hi + reach, 2.0 * half_cell.xy);
         o = vec2(corner == 1 || corner == 3 || corner == 5 ? hi.x : lo.x, corner >= 2 && corner != 3 ? hi.y : lo.y);
     }
-    gl_Position = vec4(o / half_cell.xy, 0.0, 1.0);
+    gl_Position = vec4((center + o) / (0.5 * vec2({w}, {h})) - 1.0, 0.0, 1.0);
 }
 """
 
@@ -92,6 +97,7 @@ if (max(max(c0.w, c1.w), c2.w) >= {near}) {
 # (Olano and Greer 1997), which need no clipped triangle.
 _SHIFT = """
 vec2 q = gl_FragCoord.xy - center;
+if (abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h})) discard;
 vec2 a0 = h0.xy - q * h0.z, a1 = h1.xy - q * h1.z, a2 = h2.xy - q * h2.z;
 vec3 e = vec3(cross2(a1, a2), cross2(a2, a0), cross2(a0, a1)) * facing;
 float sum = e.x + e.y + e.z;
@@ -117,24 +123,25 @@ _SOFT_VARYINGS = (("int", "code"), ("float", "facing"), ("vec2", "center"), ("ve
 
 
 def _enlarged(fragment: str) -> Draw:
-    return Draw(_ENLARGE, fragment + "gl_FragDepth = depth;\n", _SOFT_VARYINGS, vertices=(6, "face_count"))
+    return Draw(_ENLARGE, fragment + "gl_FragDepth = depth;\n", _SOFT_VARYINGS, vertices=(6, "slots"), count="count")
 
 
 def _code(channels):
     return lambda name, inputs, attrs: ("int" if channels == 1 else "ivec2", attrs["extent"])
 
 
-op("rasterize", "clip faces", infer=_code(1), reads="vertex vertex", stage="raster", functions=FUNCTIONS,
+op("rasterize", "clip faces entries count", infer=_code(1), reads="vertex vertex vertex count", stage="raster", functions=FUNCTIONS,
    draws=(_enlarged(_SHIFT + "{y} = found;\n"),), ref=reference.rasterize, cost=1000,
-   doc="First layer, every face enlarged.")
-op("rasterize_first", "clip faces", infer=_code(2), reads="vertex vertex", stage="raster", functions=FUNCTIONS,
+   doc="First layer, the listed faces enlarged.")
+op("rasterize_first", "clip faces entries count", infer=_code(2), reads="vertex vertex vertex count", stage="raster", functions=FUNCTIONS,
    draws=(_enlarged(_SHIFT + "{y} = ivec2(found, floatBitsToInt(depth));\n"),), ref=reference.rasterize_first, cost=1000,
    doc="First layer with its shifted depth, for peeling.")
-op("rasterize_peel", "clip faces previous", infer=_code(2), reads="vertex vertex own", stage="raster", functions=FUNCTIONS,
-   draws=(_enlarged(_SHIFT + _PEELED + "{y} = ivec2(found, floatBitsToInt(depth));\n"),), ref=reference.rasterize_peel, cost=1000,
+op("rasterize_peel", "clip faces entries count previous", infer=_code(2), reads="vertex vertex vertex count own", stage="raster",
+   functions=FUNCTIONS, draws=(_enlarged(_SHIFT + _PEELED + "{y} = ivec2(found, floatBitsToInt(depth));\n"),),
+   ref=reference.rasterize_peel, cost=1000,
    doc="The layer behind `previous` (depth peeling).")
 
-# Outline distance needs which face is in front, without fragment work, and the nearest fold edge of each pixel, whatever is in front.
+# Which face is in front, without fragment work; for outline distance also the nearest fold edge of each pixel, whatever is in front.
 _HARD = _PROLOGUE + """
 int f = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
 ivec3 t = {faces_at}(f);

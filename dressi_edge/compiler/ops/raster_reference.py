@@ -26,14 +26,16 @@ def _cross2(a, b):
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _fragments(clip, faces, extent, cell_w, cell_h, columns, views, vertices, face_count, radius, near):
-    """Yield (ys, xs, code, depth) of every face, in drawing order."""
+def _fragments(clip, faces, entries, extent, cell_w, cell_h, columns, views, vertices, face_count, radius, near, **_):
+    """Yield (ys, xs, code, depth) of every face, in drawing order: of those listed, or of all where `entries` is None."""
     half = np.array([cell_w / 2, cell_h / 2, 1.0])
     clip, faces = clip.reshape(-1, 4), faces.reshape(-1, 3)[:face_count]
     for view in range(views):
         table = clip[view * vertices:(view + 1) * vertices]
         corner = np.array([view % columns * cell_w, view // columns * cell_h])
         for f, t in enumerate(faces):
+            if entries is not None and view * face_count + f not in entries:
+                continue
             c = table[t]
             h = c[:, [0, 1, 3]] * half
             det = np.linalg.det(c[:, [0, 1, 3]])
@@ -58,10 +60,11 @@ def _fragments(clip, faces, extent, cell_w, cell_h, columns, views, vertices, fa
             yield ys[keep] + corner[1], xs[keep] + corner[0], 2 * (view * face_count + f) + hard[keep], depth[keep]
 
 
-def _layer(behind, clip, faces, extent, **attrs):
+def _layer(behind, clip, faces, entries, count, extent, **attrs):
     code = np.full((extent.height, extent.width), -1, np.int64)
     depth = np.ones((extent.height, extent.width))
-    for ys, xs, c, d in _fragments(clip, faces, extent, **attrs):
+    listed = set(entries.reshape(-1)[:int(count.reshape(-1)[-1]) // 6].tolist())
+    for ys, xs, c, d in _fragments(clip, faces, listed, extent, **attrs):
         nearer = d < depth[ys, xs]
         if behind is not None:
             front_code, front_depth = behind[0][ys, xs], behind[1][ys, xs]
@@ -71,14 +74,14 @@ def _layer(behind, clip, faces, extent, **attrs):
     return code, depth
 
 
-def rasterize(clip, faces, **attrs):
-    return _layer(None, clip, faces, **attrs)[0][..., None]
+def rasterize(clip, faces, entries, count, **attrs):
+    return _layer(None, clip, faces, entries, count, **attrs)[0][..., None]
 
 
 def rasterize_hard(clip, faces, extent, **attrs):
     code = np.full((extent.height, extent.width), -1, np.int64)
     depth = np.ones((extent.height, extent.width))
-    for ys, xs, c, d in _fragments(clip, faces, extent, **attrs, radius=0.01):
+    for ys, xs, c, d in _fragments(clip, faces, None, extent, **attrs, radius=0.01):
         nearer = (c & 1 == 1) & (d < depth[ys, xs])
         code[ys[nearer], xs[nearer]], depth[ys[nearer], xs[nearer]] = c[nearer] >> 1, d[nearer]
     return code[..., None]
@@ -124,12 +127,13 @@ def _with_depth(code, depth):
     return np.stack([code, depth.view(np.int64)], 2)
 
 
-def rasterize_first(clip, faces, **attrs):
-    return _with_depth(*_layer(None, clip, faces, **attrs))
+def rasterize_first(clip, faces, entries, count, **attrs):
+    return _with_depth(*_layer(None, clip, faces, entries, count, **attrs))
 
 
-def rasterize_peel(clip, faces, previous, **attrs):
-    return _with_depth(*_layer((previous[..., 0], np.ascontiguousarray(previous[..., 1]).view(np.float64)), clip, faces, **attrs))
+def rasterize_peel(clip, faces, entries, count, previous, **attrs):
+    front = previous[..., 0], np.ascontiguousarray(previous[..., 1]).view(np.float64)
+    return _with_depth(*_layer(front, clip, faces, entries, count, **attrs))
 
 
 def nearest_edge(code, face_edges, segments, position, active, face_count, edge_count):

@@ -5,7 +5,7 @@ import numpy as np
 
 from ...cache.errors import GraphError
 from ..ir import UNIT, Extent, Node, image
-from ..optable import Loop, apply, op
+from ..optable import Loop, apply, at, op
 
 BLOCK = 32
 
@@ -97,56 +97,71 @@ def spread(tiles: np.ndarray, width: int, height: int, tile: tuple[int, int]) ->
     return tiles.repeat(tile[1], 0).repeat(tile[0], 1)[:height, :width]
 
 
-def _edge_tiles_ref(code, reach):
-    bits = np.where((code[..., 0] >= 0) & (code[..., 0] & 1 == 1), 2, 1)
+def _edge_tiles_ref(front, reach, tile):
+    bits = np.where(front[..., 0] >= 0, 2, 1)
     h, w = bits.shape
-    out = [[np.bitwise_or.reduce(bits[max(y - reach, 0):y + TILE + reach, max(x - reach, 0):x + TILE + reach], axis=None) == 3
-            for x in range(0, w, TILE)] for y in range(0, h, TILE)]
+    out = [[np.bitwise_or.reduce(bits[max(y - reach, 0):y + tile[1] + reach, max(x - reach, 0):x + tile[0] + reach], axis=None) == 3
+            for x in range(0, w, tile[0])] for y in range(0, h, tile[1])]
     return np.array(out, np.int64)[..., None]
 
 
-op("edge_tiles", "code", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent)), reads="texel", ref=_edge_tiles_ref,
-   cost=400, glsl=lambda node: f"""{{ ivec2 lo_ = max({{p}} * {TILE} - {{reach}}, ivec2(0));
-    ivec2 hi_ = min({{p}} * {TILE} + ({TILE} + {{reach}}), ivec2({{code_w}}, {{code_h}}));
+op("edge_tiles", "front", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, *attrs["tile"])), reads="texel",
+   ref=_edge_tiles_ref, cost=400,
+   glsl="""{ ivec2 size_ = ivec2{tile}, lo_ = max({p} * size_ - {reach}, ivec2(0));
+    ivec2 hi_ = min({p} * size_ + size_ + {reach}, ivec2({front_w}, {front_h}));
     int near_ = 0;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
-        int s_ = {{code}}(ivec2(a_, b_)){"" if node.inputs[0].channels == 1 else ".x"};
-        near_ |= s_ >= 0 && (s_ & 1) == 1 ? 2 : 1; }}
-    {{y}} = near_ == 3 ? 1 : 0; }}""",
-   sample=lambda rng: ([np.where(np.add.outer(np.arange(20), np.arange(35)) > 30, 3, -1)[..., None]], {"reach": 2}),
-   doc="1 for tiles that have hard and other pixels within `reach` pixels: only those can hold pixels of the edge mask.")
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) near_ |= {front}(ivec2(a_, b_)) >= 0 ? 2 : 1;
+    {y} = near_ == 3 ? 1 : 0; }""",
+   sample=lambda rng: ([np.where(np.add.outer(np.arange(20), np.arange(35)) > 30, 3, -1)[..., None]], {"reach": 2, "tile": (16, 8)}),
+   doc="1 for tiles that have covered and other pixels within `reach` pixels: only those can hold pixels of the edge mask.")
+
+
+def _meets_ref(box, tiles, tile):
+    out = np.zeros((len(box.reshape(-1, 4)), 1), np.int64)
+    for i, (x0, y0, x1, y1) in enumerate(box.reshape(-1, 4)):
+        if x0 < x1 and y0 < y1:
+            out[i] = tiles[y0 // tile[1]:-(-y1 // tile[1]), x0 // tile[0]:-(-x1 // tile[0])].any()
+    return out.reshape(*box.shape[:2], 1)
+
+
+op("meets_tiles", "box tiles", infer=at(0, vtype="int"), reads="own texel", ref=_meets_ref, cost=60,
+   glsl="""{y} = 0;
+{ ivec2 size_ = ivec2{tile};
+  for (int d_ = {box}.y / size_.y; d_ * size_.y < {box}.w; ++d_)
+  for (int c_ = {box}.x / size_.x; c_ * size_.x < {box}.z && {y} == 0; ++c_) {y} = {tiles}(ivec2(c_, d_)); }""",
+   sample=lambda rng: ([np.array([(0, 0, 0, 0), (1, 1, 9, 4), (30, 8, 33, 16), (0, 0, 35, 20)])[None], np.eye(3, dtype=int)[..., None]],
+                       {"tile": (16, 8)}),
+   doc="1 for boxes, half open, with pixels in a marked tile.")
 
 _BOUNDS = """ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_h});
     ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));"""
 
 
-def _hard_window_ref(code, tiles, tile, **attrs):
-    hard = np.where((code[..., :1] >= 0) & (code[..., :1] & 1 == 1), 2, 1)
-    return _window_ref(hard, **attrs) * spread(tiles, code.shape[1], code.shape[0], tile)
+def _covered_window_ref(front, tiles, tile, **attrs):
+    return _window_ref(np.where(front >= 0, 2, 1), **attrs) * spread(tiles, front.shape[1], front.shape[0], tile)
 
 
 def _edge_mask_ref(across, tiles, tile, **attrs):
     return ((_window_ref(across, **attrs) == 3) & (spread(tiles, across.shape[1], across.shape[0], tile) != 0)).astype(np.int64)
 
 
-op("hard_window", "code tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=50, absent=((1, 0),),
-   ref=_hard_window_ref,
-   glsl=lambda node: "{ " + _BOUNDS + """
+op("covered_window", "front tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=50,
+   absent=((1, 0),), ref=_covered_window_ref,
+   glsl="{ " + _BOUNDS + """
     {y} = 0;
-    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {
-        int s_ = {code}(ivec2(a_, b_))CHANNEL; {y} |= s_ >= 0 && (s_ & 1) == 1 ? 2 : 1; }
-    if ({tiles} == 0) {y} = 0; }""".replace("CHANNEL", "" if node.inputs[0].channels == 1 else ".x"),
-   sample=lambda rng: ([rng.integers(-1, 9, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
+    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {y} |= {front}(ivec2(a_, b_)) >= 0 ? 2 : 1;
+    if ({tiles} == 0) {y} = 0; }""",
+   sample=lambda rng: ([rng.integers(-1, 2, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
                        {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
-   doc="Window of the frontal stencil S^H of a raster code: bit 1 where a hard face is in it, bit 0 where a pixel without one is.")
-op("edge_mask", "across tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=30, absent=((1, 0),),
+   doc="Window of the frontal stencil S^H: bit 1 where a covered pixel is in it, bit 0 where an uncovered one is.")
+op("edge_mask", "across tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=50, absent=((1, 0),),
    ref=_edge_mask_ref, glsl="{ " + _BOUNDS + """
     int near_ = 0;
     for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) near_ |= {across}(ivec2(a_, b_));
     {y} = near_ == 3 && {tiles} != 0 ? 1 : 0; }""",
    sample=lambda rng: ([rng.integers(1, 4, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
                        {"dx": 0, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
-   doc="Edge mask E (paper 3.4.3): hard and other pixels in the window. Rows first by hard_window, then columns here.")
+   doc="Edge mask E (paper 3.4.3): covered and other pixels in the window. Rows first by covered_window, then columns here.")
 
 op("inside_tiles", "value tiles", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[0].extent), reads="own tile", cost=2,
    absent=((1, 0),), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",

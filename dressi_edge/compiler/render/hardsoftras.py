@@ -32,11 +32,12 @@ from ..functions import (
     to_int,
 )
 from ..ir import Extent, Node, image, table
-from ..ops.compact import compact
+from ..ops.compact import Compact, compact
 from ..ops.reduce import TILE
 from ..topology import Topology
 
 MAX_LAYERS = 5
+BIN = (8, 4)  # pixels of the edge mask's bins: what comes near one is drawn
 # Twice the area of a face over the square of its size as seen from the pixel: below this it is rounding noise, as is its inverse.
 DEGENERATE = 1e-6
 
@@ -189,6 +190,12 @@ class _Rasterized:
         """The view of each entry of a table of views x per_view."""
         return apply("idiv", apply("texel_index", extent=table(self.atlas.views * per_view)), per_view)
 
+    def _center(self, view: Node) -> Node:
+        """The middle of a view's cell, in pixels of the atlas."""
+        a = self.atlas
+        return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
+                       (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
+
     def corners(self, table: Node, per_view: bool = False) -> list[Node]:
         """Tables (views x faces) of an attribute at the three sorted corners of each face."""
         t, views = self.topology, self.atlas.views
@@ -256,7 +263,7 @@ class Outline(_Rasterized):
         slot = apply("rasterize_segments", fixed, edges.entries, front, edges.running, **listed)
         slot = apply("within_tiles", slot, apply("occupied", slot, width=TILE, height=TILE // 2), tile=(TILE, TILE // 2))
         hard = front >= 0
-        segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r)
+        segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r, channel=0)
         beside = slot >= 0
         dist, point = self._nearest(segment, hard)
         first = topology.edge_faces[:, 0]
@@ -276,12 +283,6 @@ class Outline(_Rasterized):
             inside = [apply("bit_and", *inside[:2]), *inside[2:]]
         return inside[0]
 
-    def _center(self, view: Node) -> Node:
-        """The middle of a view's cell, in pixels of the atlas."""
-        a = self.atlas
-        return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
-                       (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
-
     def silhouette(self) -> Node:
         return self.layers[0].probability
 
@@ -292,47 +293,71 @@ class Outline(_Rasterized):
 
 
 class Layers(_Rasterized):
-    """Distance "face": the peels of the enlarged faces (paper 3.4.2)."""
+    """Distance "face": the front faces, drawn hard, and in the edge mask the peels of the enlarged faces (paper 3.4.2).
+
+    Equations 5 and 6 use soft fragments and the layers behind the first in the edge mask alone, so only faces that come near it are
+    enlarged, and only edges near it are summed to. Both are listed on the device first.
+    """
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
         super().__init__(clip, topology, atlas, softness, near)
-        s = stop_gradient(self.segments)
-        reach = max(softness.r, math.sqrt(2) * softness.reach) + 0.05
-        self.edge_boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, self._view(len(topology.edges)), atlas)
-        codes = self._codes()
-        near = apply("edge_tiles", codes[0], reach=softness.reach)
-        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": (TILE, TILE)}
-        across = apply("hard_window", codes[0], near, dx=softness.reach, dy=0, **window)
-        self.edge_mask = apply("edge_mask", across, near, dx=0, dy=softness.reach, **window)
-        self.layers = [self._layer(code if code.channels == 1 else code.x) for code in codes]
-        self.stencil = self.layers[0].hard
+        self.front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
+        tile = (TILE, TILE // 2)
+        tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=tile)
+        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": tile}
+        across = apply("covered_window", self.front, tiles, dx=softness.reach, dy=0, **window)
+        mask = apply("edge_mask", across, tiles, dx=0, dy=softness.reach, **window)
+        self.edge_mask = apply("inside_tiles", mask, tiles, tile=tile)  # guards do not see what is absent behind an image
+        self.bins = apply("marked", mask, width=BIN[0], height=BIN[1])
+        codes = [select(self.edge_mask, code, -1) for code in self._peels()]
+        codes[0] = select(codes[0] >= 0, codes[0], select(self.front >= 0, self.front * 2 + 1, -1))
+        edges = [apply("nearest_edge", code, constant_table(topology.face_edges), stop_gradient(self.segments), self.position,
+                       self.edge_mask, face_count=len(topology.faces), edge_count=len(topology.edges)) for code in codes]
+        self.layers = [self._layer(*of) for of in zip(codes, edges, self._segments_of(edges))]
 
-    def _codes(self) -> list[Node]:
-        faces = constant_table(self.topology.sorted_faces)
-        attrs = {**self.draw, "radius": float(self.softness.r)}
+    def _near_mask(self, boxes: Node, each: int) -> Compact:
+        return compact(apply("meets_tiles", boxes, self.bins, tile=BIN), each)
+
+    def _peels(self) -> list[Node]:
+        """The codes of each layer; of use in the edge mask alone."""
+        listed = self._near_mask(self.face_boxes, each=6)
+        inputs = self.clip, constant_table(self.topology.sorted_faces), listed.entries, listed.running
+        attrs = {**self.draw, "radius": float(self.softness.r), "slots": listed.entries.extent.count}
         if self.softness.layers == 1:
-            return [apply("rasterize", self.clip, faces, **attrs)]
-        codes = [apply("rasterize_first", self.clip, faces, **attrs)]
+            return [apply("rasterize", *inputs, **attrs)]
+        codes = [apply("rasterize_first", *inputs, **attrs)]
         for _ in range(self.softness.layers - 1):
-            codes.append(apply("rasterize_peel", self.clip, faces, codes[-1], **attrs))
-        return codes
+            codes.append(apply("rasterize_peel", *inputs, codes[-1], **attrs))
+        return [code.x for code in codes]
 
-    def _layer(self, code: Node) -> Layer:
-        exists = code >= 0
-        hard = select(exists, apply("bit_and", code, 1), 0)
-        face = apply("shift_right", code, 1)
-        edge = apply("nearest_edge", code, constant_table(self.topology.face_edges), stop_gradient(self.segments), self.position,
-                     self.edge_mask, face_count=len(self.topology.faces), edge_count=len(self.topology.edges))
-        dist, point = self._nearest(lookup(self.segments, edge, self.edge_boxes), hard)
+    def _segments_of(self, edges: Sequence[Node]) -> list[Node]:
+        """The segment of each layer's edge. No pixel of the mask is further from it than `reach`."""
+        count, s = len(self.topology.edges), stop_gradient(self.segments)
+        reach = max(self.softness.r, math.sqrt(2) * self.softness.reach) + 0.05
+        boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, self._view(count), self.atlas)
+        listed = self._near_mask(boxes, each=1)
+        segments = listed.gather(self.segments)
+        where = listed.gather(boxes), stop_gradient(segments), self._center(apply("idiv", listed.entries, count))
+        slots = [select(edge >= 0, lookup(listed.slots, edge), -1) for edge in edges]
+        found = []
+        for first in range(0, len(slots), 4):  # four to an image: their sums share a loop
+            some = slots[first:first + 4]
+            index = some[0] if len(some) == 1 else compose(*some, *[-1] * (4 - len(some)))
+            found += [apply("lookup_near", segments, index, *where, reach=reach, channel=k) for k in range(len(some))]
+        return found
+
+    def _layer(self, code: Node, edge: Node, segment: Node) -> Layer:
+        hard = select(code >= 0, apply("bit_and", code, 1), 0)
+        dist, point = self._nearest(segment, hard)
         probability = select(edge >= 0, sigmoid(dist * (1.0 / self.softness.width)), 0.0)
-        return Layer(face, hard, dist, probability, point)
+        return Layer(apply("shift_right", code, 1), hard, dist, probability, point)
 
     def silhouette(self) -> Node:
         """Equation 6: 1 - prod(1 - D_k) at edges, the stencil elsewhere."""
         clear = 1.0 - self.layers[0].probability
         for layer in self.layers[1:]:
             clear = clear * (1.0 - layer.probability)
-        return select(self.edge_mask, 1.0 - clear, apply("to_float", self.stencil))
+        return select(self.edge_mask, 1.0 - clear, apply("to_float", self.front >= 0))
 
     def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
         """Equation 5 over a background: the mean of the layers' colours weighted by probability at edges, C_1 inside."""
