@@ -1,0 +1,66 @@
+"""Ours against what others wrote (benchmarks/peers.py, quick): SciPy and a float64 ray caster always, Embree and Mitsuba where the extra
+`peers` is installed, which is not in CI."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import peers
+
+
+def run(folder, monkeypatch, parts, installed=()):
+    """The rows of a quick run with those peers and no others."""
+    monkeypatch.setattr(peers, "INSTALLED", {name: name in installed for name in peers.INSTALLED})
+    peers.main(["--quick", "--part", *parts, "--json", str(folder / "out.json")])
+    document = json.loads((folder / "out.json").read_text())
+    assert {"device", "versions", "results", "peers"} <= document.keys()
+    return document["results"]
+
+
+def check_rays(rows, peer):
+    masks = [row for row in rows if row["part"] == "rays" and row["peer"] == peer and "hit" in row]
+    assert len(masks) == 2 and all(row["hit"] > 500 and row["differ"] == 0 and row["at_edges"] < 10 for row in masks)
+    found = [row for row in rows if row["part"] == "rays" and row["peer"] == peer and "hit" not in row]
+    assert len(found) >= 3 and all(row["median"] < 1e-4 and row["worst"] < 1e-3 for row in found)
+
+
+def test_hits_interpolation_coding_and_gradient_are_those_of_float64(tmp_path, monkeypatch):
+    rows = run(tmp_path, monkeypatch, ["rays", "shading", "gradient"])
+    assert {row["peer"] for row in rows} == {"float64"}
+    check_rays(rows, "float64")
+    for row in rows:
+        assert row["part"] != "shading" or row["worst"] < 1e-5, row
+        assert row["part"] != "gradient" or row["cosine"] > 0.95, row
+
+
+def test_sums_samples_and_their_transposes_are_scipys_sparse_matrices(tmp_path, monkeypatch):
+    rows = run(tmp_path, monkeypatch, ["algebra"])
+    assert len(rows) > 15
+    for row in rows:
+        assert row["worst"] < 1e-4 and row["median"] < 1e-5, row
+
+
+def needed(name):
+    if not peers.INSTALLED[name]:
+        pytest.skip(f"the extra peers is not installed, so {name} was not asked; float64 rays and SciPy were")
+
+
+def test_pixels_and_attributes_are_those_of_embree(tmp_path, monkeypatch):
+    needed("embree")
+    rows = run(tmp_path, monkeypatch, ["rays"], ["embree"])
+    check_rays(rows, "embree")
+    assert next(row for row in rows if "covered area" in row["case"])["worst"] < 1e-3
+
+
+def test_pixels_shading_and_gradient_are_those_of_mitsuba(tmp_path, monkeypatch):
+    needed("mitsuba")
+    rows = run(tmp_path, monkeypatch, ["rays", "shading", "gradient"], ["mitsuba"])
+    check_rays(rows, "mitsuba")
+    for row in rows:
+        assert row["part"] != "shading" or row["median"] < 1e-5 and row["worst"] < 1e-3, row
+    exact = next(row for row in rows if "Mitsuba's to exact" in row["case"])
+    assert exact["cosine"] > 0.995 and abs(exact["slope"] - 1) < 0.05
