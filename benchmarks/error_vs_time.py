@@ -130,7 +130,8 @@ def part_gradient(run: Run) -> Iterator[dict]:
         known = poses(mesh, topology, size)
         ys, xs = np.mgrid[:size, :size] + 0.5
         small, profile = size < 200, run.options.profile
-        groups = [[(*e, r, None, profile) for e in ESTIMATORS] + [(*e, r, None, "limit4") for e in ESTIMATORS[:1 if quick else 3] if small]
+        groups = [[(*e, r, None, profile) for e in ESTIMATORS[:2 if quick else 3]]
+                  + [(*e, r, None, "limit4") for e in ESTIMATORS[:1 if quick else 3] if small]
                   for r in ((2.0,) if quick else (1.0, 2.0, 4.0, 8.0))]
         groups += [[(*e, 2.0, sigma, profile) for e in ESTIMATORS] for sigma in (() if quick else (0.1, 0.2, 0.6, 1.0)) if small]
         for group in groups:
@@ -263,7 +264,7 @@ def part_layers(run: Run) -> Iterator[dict]:
     seen = orbit(24, (20.0, -20.0, 50.0, 0.0), 2.5, 50.0, (size, size))
     targets = run.coverage(mesh, seen)
     for k in (1,) if quick else run.options.layers:
-        for distance in ("outline", "face") if k == 1 else ("face",):
+        for distance in ("outline",) if quick else ("outline", "face") if k == 1 else ("face",):
             for r in (2.0,) if quick else run.options.radii:
                 problem = Problem(start, seen, order="shuffle", albedo="constant")
                 adam = Adam(falling(recipe.shape_rate, steps), recipe.betas)

@@ -42,6 +42,10 @@ def ticks(low: float, high: float) -> list[float]:
     return [t for d in decades for m in steps if low <= (t := m * 10.0 ** d) <= high]
 
 
+def number(t: float) -> str:
+    return f"{t:g}" if t >= 1e-3 else f"{t:.0e}".replace("e-0", "e-")
+
+
 def chart(title: str, x_name: str, y_name: str, series: Sequence[Series], legend: Mapping[str, str]) -> str:
     """A panel with two logarithmic axes; legend: name -> colour."""
     points = np.array([p for s in series for p in s.points], float)
@@ -58,11 +62,12 @@ def chart(title: str, x_name: str, y_name: str, series: Sequence[Series], legend
         for t in ticks(a, b):
             x, y = at([t, low[1]] if axis == 0 else [low[0], t])
             if axis == 0:
-                out += [f'<path d="M{x:.1f} {y:.1f}V{TOP}" stroke="#e4e4e4"/>', text(x, y + 15, f"{t:g}")]
+                out += [f'<path d="M{x:.1f} {y:.1f}V{TOP}" stroke="#e4e4e4"/>', text(x, y + 15, number(t))]
             else:
-                out += [f'<path d="M{x:.1f} {y:.1f}H{WIDTH - RIGHT}" stroke="#e4e4e4"/>', text(x - 5, y + 4, f"{t:g}", anchor="end")]
+                out += [f'<path d="M{x:.1f} {y:.1f}H{WIDTH - RIGHT}" stroke="#e4e4e4"/>', text(x - 5, y + 4, number(t), anchor="end")]
     out.append(f'<rect x="{LEFT}" y="{TOP}" width="{WIDTH - LEFT - RIGHT}" height="{HEIGHT - TOP - BOTTOM}" fill="none" stroke="#888"/>')
     out += [text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 12, x_name), text(16, (TOP + HEIGHT - BOTTOM) / 2, y_name, turn=-90)]
+    dots, labels = [], []
     for s in series:
         places = [at(p) for p in s.points]
         if s.line:
@@ -71,11 +76,32 @@ def chart(title: str, x_name: str, y_name: str, series: Sequence[Series], legend
         for x, y in places if s.radius else ():
             fill = "none" if s.hollow else s.color
             out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{s.radius:g}" fill="{fill}" stroke="{s.color}"/>')
-        out += [text(x + 6, y - 4, label, 9, "start", color=s.color) for (x, y), label in zip(places, s.labels) if label]
+        dots += [(x - s.radius, y - s.radius, x + s.radius, y + s.radius) for x, y in places]
+        labels += [(x, y, label, s.color) for (x, y), label in zip(places, s.labels) if label]
+    out += beside(labels, dots)
     for k, (name, color) in enumerate(legend.items()):
         x = LEFT + 84 * k
         out += [f'<rect x="{x}" y="29" width="9" height="9" fill="{color}"/>', text(x + 14, 38, name, 10, "start")]
     return "\n".join(out)
+
+
+def beside(labels: Sequence[tuple[float, float, str, str]], taken: Sequence[tuple[float, float, float, float]]) -> list[str]:
+    """Texts for points (x, y, text, colour): each where it hides least of what is taken (left, top, right, bottom) and of the texts
+    before it, within the axes."""
+    taken, out = list(taken), []
+    for x, y, label, color in labels:
+        wide, best = 5.4 * len(label), None
+        for dx, dy in ((6, -4), (6, 11), (-6 - wide, -4), (-6 - wide, 11), (-wide / 2, -7), (-wide / 2, 15), (11, 3), (-11 - wide, 3),
+                       (6, -14), (6, 21), (-6 - wide, -14), (-6 - wide, 21)):
+            box = (x + dx, y + dy - 7, x + dx + wide, y + dy)
+            outside = max(LEFT - box[0], box[2] - (WIDTH - RIGHT), TOP - box[1], box[3] - (HEIGHT - BOTTOM), 0)
+            hidden = 100 * outside + sum(max(0.0, min(box[2], t[2]) - max(box[0], t[0])) * max(0.0, min(box[3], t[3]) - max(box[1], t[1]))
+                                         for t in taken)
+            if best is None or hidden < best[0]:
+                best = hidden, box
+        taken.append(best[1])
+        out.append(text(best[1][0], best[1][3], label, 9, "start", color=color))
+    return out
 
 
 def heat(title: str, columns: Sequence[str], rows: Sequence[str], values: Mapping[tuple[str, str], float]) -> str:

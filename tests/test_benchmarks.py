@@ -15,6 +15,7 @@ import error_vs_time
 import metrics
 import reconstruct
 import sphere_to_spot
+import svg
 
 from dressi_edge.compiler.scene import icosphere
 
@@ -92,12 +93,14 @@ def test_sphere_to_spot_quick(tmp_path):
         assert row["iou"] > 0.9
 
 
-def test_error_vs_time_quick(tmp_path):
-    error_vs_time.main(["--quick", "--json", str(tmp_path / "out.json"), "--plot", str(tmp_path / "out.svg")])
+@pytest.mark.parametrize("parts, panels", [(("gradient", "layers"), 5), pytest.param(error_vs_time.PARTS, 7, marks=pytest.mark.full)],
+                         ids=["cheap", "all"])
+def test_error_vs_time_quick(tmp_path, parts, panels):
+    error_vs_time.main(["--quick", "--part", *parts, "--json", str(tmp_path / "out.json"), "--plot", str(tmp_path / "out.svg")])
     document = json.loads((tmp_path / "out.json").read_text())
     assert {"device", "versions", "results"} <= document.keys()
     rows = {part: [row for row in document["results"] if row["part"] == part] for part in error_vs_time.PARTS}
-    assert all(rows.values()) and all(row["ms"] > 0 and row["cpu_ms"] >= 0 for row in document["results"])
+    assert all(rows[part] for part in parts) and all(row["ms"] > 0 and row["cpu_ms"] >= 0 for row in document["results"])
     by = {(row["distance"], row["K"], row["profile"]): row["error"] for row in rows["gradient"] if row["swept"] == "r"}
     assert by["outline", 1, "lavapipe"] < 0.1 < by["face", 1, "lavapipe"]
     assert by["outline", 1, "lavapipe"] == by["outline", 1, "limit4"], "packing changes no gradient"
@@ -105,7 +108,17 @@ def test_error_vs_time_quick(tmp_path):
         assert row["cosine"] > 0.2 and (row["error"] < 1e-4) == (row["gradient"] == "exact")
     for row in rows["fit"] + rows["layers"]:
         assert row["distance"][-1] < row["distance"][0], row["case"]
-    assert len(ElementTree.parse(tmp_path / "out.svg").getroot()) == 1 + 7
+    assert len(ElementTree.parse(tmp_path / "out.svg").getroot()) == 1 + panels
+
+
+def test_labels_of_a_chart_lie_beside_each_other_and_within_its_axes():
+    points = [(100.0 + 2 * k, 100.0, f"r{k}", "#000") for k in range(4)] + [(svg.WIDTH - svg.RIGHT - 1.0, svg.TOP + 1.0, "corner", "#000")]
+    found = [ElementTree.fromstring(line) for line in svg.beside(points, [])]
+    boxes = [(float(t.get("x")), float(t.get("y")), 5.4 * len(t.text)) for t in found]
+    assert [t.text for t in found] == ["r0", "r1", "r2", "r3", "corner"]
+    for k, (x, y, wide) in enumerate(boxes):
+        assert svg.LEFT <= x and x + wide <= svg.WIDTH - svg.RIGHT and svg.TOP <= y - 7
+        assert all(abs(y - other[1]) >= 7 or x + wide <= other[0] or other[0] + other[2] <= x for other in boxes[:k])
 
 
 def test_the_front_is_what_nothing_beats_in_both():
