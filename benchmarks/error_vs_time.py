@@ -57,6 +57,8 @@ PARTS = ("gradient", "texture", "fit", "layers")
 ESTIMATORS = (("outline", 1), ("face", 1), ("face", 3))
 COLORS = {"outline": "#1b6ca8", "face K=1": "#d1495b", "face K=3": "#2e8b57", "face K=5": "#8a5a00"}
 MEAN_OF = 64  # steps of inverse UV
+# Figure 12's choices, near, best and far, with 8 pixels for its 7, and outline's over the same range: what the plot shows of part layers.
+CURVES = (("outline", 1, 1.0), ("outline", 1, 2.0), ("outline", 1, 8.0), ("face", 1, 1.0), ("face", 3, 2.0), ("face", 5, 8.0))
 
 
 def name_of(distance: str, k: int) -> str:
@@ -364,7 +366,8 @@ def plot(results: list[dict]) -> str:
             panels.append(svg.heat(f"{rows[0]['mesh']}: distance after {stop} steps", columns,
                                    [f"r = {r:g}" for r in sorted({x["r"] for x in rows})], heat_values(rows, stop)))
         series = [svg.Series(list(zip(x["steps"], x["distance"])), COLORS[name_of(x["distance_by"], x["K"])],
-                             [""] * (len(stops) - 1) + [f"r{x['r']:g}"], line=True, radius=2) for x in rows]
+                             [""] * (len(stops) - 1) + [f"r{x['r']:g}"], line=True, radius=2)
+                  for x in rows if (x["distance_by"], x["K"], x["r"]) in CURVES]
         panels.append(svg.chart(f"{rows[0]['mesh']}: distance by step", "steps", "distance to the surface", series,
                                 {k: COLORS[k] for k in columns}))
     if of["texture"]:
