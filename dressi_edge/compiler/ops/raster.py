@@ -142,15 +142,14 @@ op("rasterize_peel", "clip faces entries count previous", infer=_code(2), reads=
    doc="The layer behind `previous` (depth peeling).")
 
 # Which face is in front, without fragment work; for outline distance also the nearest fold edge of each pixel, whatever is in front.
-_HARD = _PROLOGUE + """
-int f = gl_VertexIndex / 3, corner = gl_VertexIndex % 3;
-ivec3 t = {faces_at}(f);
-gl_Position = {clip_at}(view * {vertices} + (corner == 0 ? t.x : corner == 1 ? t.y : t.z));
+_HARD = """
+int view = gl_InstanceIndex;
+gl_Position = {clip_at}(view * {vertices} + {corners_at}(gl_VertexIndex));
 gl_Position.z *= 0.5;  // the far plane clips nothing: z < 2 w everywhere, unless far < 2 near
-code = view * {face_count} + f;
+code = view * {face_count} + gl_VertexIndex / 3;
 """
-op("rasterize_hard", "clip faces", infer=_code(1), reads="vertex vertex", stage="raster", ref=reference.rasterize_hard, cost=200,
-   draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"), ("vec2", "center")), vertices=(3, "face_count")),),
+op("rasterize_hard", "clip corners", infer=_code(1), reads="vertex vertex", stage="raster", ref=reference.rasterize_hard, cost=200,
+   draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"),), vertices=(3, "face_count")),),
    doc="The front face of each pixel, view F + face; -1 where there is none. Fixed-function depth.")
 
 # A list of segments over the whole atlas: the box around each.

@@ -29,7 +29,7 @@ def _cross2(a, b):
 def _fragments(clip, faces, entries, extent, cell_w, cell_h, columns, views, vertices, face_count, radius, near, **_):
     """Yield (ys, xs, code, depth) of every face, in drawing order: of those listed, or of all where `entries` is None."""
     half = np.array([cell_w / 2, cell_h / 2, 1.0])
-    clip, faces = clip.reshape(-1, 4), faces.reshape(-1, 3)[:face_count]
+    clip, faces = clip.reshape(-1, 4), faces.reshape(-1)[:3 * face_count].reshape(-1, 3)
     for view in range(views):
         table = clip[view * vertices:(view + 1) * vertices]
         corner = np.array([view % columns * cell_w, view // columns * cell_h])
@@ -78,10 +78,10 @@ def rasterize(clip, faces, entries, count, **attrs):
     return _layer(None, clip, faces, entries, count, **attrs)[0][..., None]
 
 
-def rasterize_hard(clip, faces, extent, **attrs):
+def rasterize_hard(clip, corners, extent, **attrs):
     code = np.full((extent.height, extent.width), -1, np.int64)
     depth = np.ones((extent.height, extent.width))
-    for ys, xs, c, d in _fragments(clip, faces, None, extent, **attrs, radius=0.01):
+    for ys, xs, c, d in _fragments(clip, corners, None, extent, **attrs, radius=0.01):
         nearer = (c & 1 == 1) & (d < depth[ys, xs])
         code[ys[nearer], xs[nearer]], depth[ys[nearer], xs[nearer]] = c[nearer] >> 1, d[nearer]
     return code[..., None]

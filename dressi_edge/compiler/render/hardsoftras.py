@@ -259,7 +259,7 @@ class Outline(_Rasterized):
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
         boxes = _boxes(minimum(fixed.xy, fixed.zw), maximum(fixed.xy, fixed.zw), exists, r + 0.05, view, atlas)
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
-        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
+        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
         slot = apply("rasterize_segments", fixed, edges.entries, front, edges.running, **listed)
         slot = apply("within_tiles", slot, apply("occupied", slot, width=TILE, height=TILE // 2), tile=(TILE, TILE // 2))
         hard = front >= 0
@@ -301,7 +301,7 @@ class Layers(_Rasterized):
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
         super().__init__(clip, topology, atlas, softness, near)
-        self.front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces), **self.draw)
+        self.front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
         tile = (TILE, TILE // 2)
         tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=tile)
         window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": tile}
