@@ -201,22 +201,24 @@ op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), read
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
-def _any_ref(least):
+def _any_ref(test):
     def ref(index, width, height):
         h, w, _ = index.shape
-        padded = np.full((-(-h // height) * height, -(-w // width) * width), -1)
-        padded[:h, :w] = index[..., 0]
-        return (padded.reshape(padded.shape[0] // height, height, -1, width).max((1, 3)) >= least).astype(np.int64)[..., None]
+        padded = np.zeros((-(-h // height) * height, -(-w // width) * width), bool)
+        padded[:h, :w] = test(index[..., 0])
+        return padded.reshape(padded.shape[0] // height, height, -1, width).any((1, 3)).astype(np.int64)[..., None]
     return ref
 
 
-for _name, _least, _what in (("occupied", 0, "index is not negative"), ("marked", 1, "mask is positive")):
-    op(_name, "index", reads="texel", ref=_any_ref(_least), cost=64,
+for _name, _glsl, _test, _what in (("occupied", ">= 0", lambda x: x >= 0, "index is not negative"),
+                                   ("vacant", "< 0", lambda x: x < 0, "index is negative"),
+                                   ("marked", "> 0", lambda x: x > 0, "mask is positive")):
+    op(_name, "index", reads="texel", ref=_any_ref(_test), cost=64,
        infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
        glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
-    int best_ = -1;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) best_ = max(best_, {index}(ivec2(a_, b_)));
-    {y} = best_ >= LEAST ? 1 : 0; }""".replace("LEAST", str(_least)),
+    {y} = 0;
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) if ({index}(ivec2(a_, b_)) TEST) {y} = 1; }""".replace(
+           "TEST", _glsl),
        sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
        doc=f"1 for each tile of width x height pixels in which some {_what}.")
 

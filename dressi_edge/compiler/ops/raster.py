@@ -8,11 +8,8 @@ an item and pull everything by `gl_VertexIndex`: no geometry shader, no primitiv
 """
 from __future__ import annotations
 
-import numpy as np
-
 from ..optable import Draw, op
 from . import raster_reference as reference
-from .reduce import spread
 
 FUNCTIONS = """
 float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
@@ -192,12 +189,6 @@ op("rasterize_segments", "segments entries front count", infer=_code(1), reads="
    draws=(Draw(_AROUND, _NEAREST, _SEGMENT_VARYINGS, vertices=(6, "slots"), count="count"),),
    doc="For each pixel the slot of the nearest listed segment within `radius` in its cell that is outline for it, the first of equals; -1 "
        "where there is none. Outline: `front` does not cover the pixel, or not the one that lies a pixel beyond the nearest point.")
-
-op("within_tiles", "code tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), absent=((1, -1),), reads="own tile", cost=40,
-   ref=lambda code, tiles, tile: np.where(spread(tiles, code.shape[1], code.shape[0], tile) != 0, code, -1),
-   glsl="{y} = {tiles} != 0 ? {code} : -1;",
-   sample=lambda rng: ([rng.integers(-1, 9, (20, 35, 1)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),
-   doc="A code inside the tiles that are marked, -1 outside: what depends on it is drawn for those tiles alone.")
 
 op("fold_segments", "segments clip edges", infer=lambda name, inputs, attrs: ("vec4", inputs[0].extent), reads="own texel texel",
    ref=reference.fold_segments, cost=40,

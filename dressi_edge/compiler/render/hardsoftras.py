@@ -37,7 +37,7 @@ from ..ops.reduce import TILE
 from ..topology import Topology
 
 MAX_LAYERS = 5
-BIN = (8, 4)  # pixels of the edge mask's bins: what comes near one is drawn
+BIN = (8, 4)  # pixels of the bins that say what of the mesh may be left out
 # Twice the area of a face over the square of its size as seen from the pixel: below this it is rounding noise, as is its inverse.
 DEGENERATE = 1e-6
 
@@ -253,15 +253,18 @@ class Outline(_Rasterized):
         count, r = len(topology.edges), float(softness.r)
         folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
                       edge_count=count, vertices=topology.vertex_count)
-        edges = compact(self._in_cell(folds), each=6)
+        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
+        gaps = apply("vacant", front, width=BIN[0], height=BIN[1])
+        near_gap = _boxes(minimum(folds.xy, folds.zw), maximum(folds.xy, folds.zw), folds.x < 1e8, r + 1.75, self._view(count), atlas)
+        edges = compact(apply("meets_tiles", near_gap, gaps, tile=BIN), each=6)  # outline for no pixel: folds in front of other faces
         segments = edges.gather(self.segments)
         fixed = stop_gradient(segments)
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
         boxes = _boxes(minimum(fixed.xy, fixed.zw), maximum(fixed.xy, fixed.zw), exists, r + 0.05, view, atlas)
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
-        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
         slot = apply("rasterize_segments", fixed, edges.entries, front, edges.running, **listed)
-        slot = apply("within_tiles", slot, apply("occupied", slot, width=TILE, height=TILE // 2), tile=(TILE, TILE // 2))
+        tiles = apply("occupied", slot, width=TILE, height=TILE // 2)
+        slot = apply("inside_tiles", slot + 1, tiles, tile=(TILE, TILE // 2)) - 1  # so that guards see where it is -1
         hard = front >= 0
         segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r, channel=0)
         beside = slot >= 0
@@ -273,15 +276,6 @@ class Outline(_Rasterized):
         face = select(hard, front, select(beside, apply("shift_right", shown, 2), -1))
         probability = select(beside, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
         self.layers = [Layer(face, hard, dist, probability, point, select(hard, 3, apply("bit_and", shown, 3)))]
-
-    def _in_cell(self, segments: Node) -> Node:
-        """1 for segments that come within r of their cell."""
-        half = compose(self.atlas.width / 2 + self.softness.r, self.atlas.height / 2 + self.softness.r)
-        low, high = minimum(segments.xy, segments.zw), maximum(segments.xy, segments.zw)
-        inside = [low.x < half.x, low.y < half.y, high.x > -half.x, high.y > -half.y]
-        while len(inside) > 1:
-            inside = [apply("bit_and", *inside[:2]), *inside[2:]]
-        return inside[0]
 
     def silhouette(self) -> Node:
         return self.layers[0].probability
