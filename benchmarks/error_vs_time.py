@@ -1,7 +1,7 @@
 """How much error a millisecond buys: gradients against the derivative of true coverage, textures against the exact transpose, and
 shapes against the true surface, each with the time that it takes.
 
-    python benchmarks/error_vs_time.py [--quick] [--part PART ...] [--data DIR] [--device NAME] [--json FILE] [--plot FILE]
+    python benchmarks/error_vs_time.py [--quick] [--part PART ...] [--only WORD] [--data DIR] [--device NAME] [--json FILE] [--plot FILE]
 
 gradient  Spot, two poses; the loss is the silhouette times a smooth image. The gradient by clip coordinates, along the 43 displacement
           fields of gradient_error.py, against the derivative of covered area: cosine, and relative L2 error. Swept: distance and K, r,
@@ -13,9 +13,9 @@ fit       sphere to Spot as in sphere_to_spot.py, but the target is coverage: dr
 layers    distance and K by r (the paper's Figures 11 and 12): a sphere of 1280 faces becomes the bunny by silhouettes of 24 views of
           128x128, one a step in random order, 2500 steps with the schedules of reconstruct.py, sigma = r / 7
 
---part takes one or several, or none to draw only what --json FILE holds; a row replaces the one of its part and case there. Where
-DIR/meshes lacks a mesh, and with --quick, the pear is taken. ms: wall time, median. cpu_ms: processor time of all threads together,
-which other work on the machine disturbs least where the device is the processor.
+--part takes one or several, or none to draw only what --json FILE holds; --only takes the cases whose name holds the word. A row
+replaces the one of its part and case there. Where DIR/meshes lacks a mesh, and with --quick, the pear is taken. ms: wall time, median.
+cpu_ms: processor time of all threads together, which other work on the machine disturbs least where the device is the processor.
 """
 
 from __future__ import annotations
@@ -84,6 +84,9 @@ class Run:
         self.about = session.report()
         return session
 
+    def wants(self, case: str) -> bool:
+        return self.options.only in case
+
     def mesh(self, file: str) -> tuple[str, Mesh]:
         """Its name, and the mesh in the unit ball."""
         path = self.options.data / "meshes" / file
@@ -124,6 +127,10 @@ def poses(mesh: Mesh, topology: Topology, size: int) -> list[tuple]:
     return out
 
 
+def gradient_case(size: int, distance: str, k: int, r: float, sigma: float | None, profile: str) -> str:
+    return f"{name_of(distance, k)}, r {r:g}, sigma {softness_of(distance, k, r, sigma).width:.2f}, {size}x{size}, {profile}"
+
+
 def part_gradient(run: Run) -> Iterator[dict]:
     quick = run.options.quick
     name, mesh = run.mesh("spot/spot.obj")
@@ -136,7 +143,7 @@ def part_gradient(run: Run) -> Iterator[dict]:
                   + [(*e, r, None, "limit4") for e in ESTIMATORS[:1 if quick else 3] if small]
                   for r in ((2.0,) if quick else (1.0, 2.0, 4.0, 8.0))]
         groups += [[(*e, 2.0, sigma, profile) for e in ESTIMATORS] for sigma in (() if quick else (0.1, 0.2, 0.6, 1.0)) if small]
-        for group in groups:
+        for group in filter(None, ([x for x in group if run.wants(gradient_case(size, *x))] for group in groups)):
             sessions, rows = [], []
             try:
                 for distance, k, r, sigma, profile in group:
@@ -150,8 +157,8 @@ def part_gradient(run: Run) -> Iterator[dict]:
                         g = session.get("by_clip")[:, :2].astype(np.float64) * clip[:, 3:] * 2 / size
                         found.append((moves * g).sum((1, 2)))
                     v, t = np.ravel(found), np.ravel([true for *_, true in known])
-                    rows.append({"case": f"{name_of(distance, k)}, r {r:g}, sigma {softness.width:.2f}, {size}x{size}, {profile}",
-                                 "part": "gradient", "mesh": name, "distance": distance, "K": k, "r": r, "sigma": rounded(softness.width),
+                    rows.append({"case": gradient_case(size, distance, k, r, sigma, profile), "part": "gradient", "mesh": name,
+                                 "distance": distance, "K": k, "r": r, "sigma": rounded(softness.width),
                                  "swept": "r" if sigma is None else "sigma", "size": size, "profile": profile,
                                  "error": rounded(np.linalg.norm(v - t) / np.linalg.norm(t)),
                                  "cosine": float(f"{v @ t / np.linalg.norm(v) / np.linalg.norm(t):.6f}")})
@@ -174,6 +181,10 @@ def textured(mesh: Mesh, cameras, size: int, gradient: str, moving: bool) -> Pro
     return problem
 
 
+def texture_case(gradient: str, atlas: int, moving: bool) -> str:
+    return f"{gradient}, atlas {atlas}, {'shape moves' if moving else 'shape at rest'}"
+
+
 def part_texture(run: Run) -> Iterator[dict]:
     quick = run.options.quick
     name, mesh = run.mesh("spot/spot.obj")
@@ -184,29 +195,32 @@ def part_texture(run: Run) -> Iterator[dict]:
     with run.open(problem) as session:
         targets = session.get("render.color")
     for atlas in (32,) if quick else (64, 128, 256, 512):
+        chosen = [(moving, gradient) for moving in (False, True) for gradient in ("exact", "inverse_uv")
+                  if run.wants(texture_case(gradient, atlas, moving))]
+        if not chosen:
+            continue
         reference = ReferenceSession(textured(mesh, cameras, atlas, "exact", False).program)
         reference.set("targets", targets)
         reference.step(1)
         true = reference.get("texture.momentum").ravel()
         sessions, rows = [], []
         try:
-            for moving in (False, True):
-                for gradient in ("exact", "inverse_uv"):
-                    session = run.open(textured(mesh, cameras, atlas, gradient, moving))
-                    sessions.append(session)
-                    session.set("targets", targets)
-                    last, found = 0.0, []
-                    for _ in range(MEAN_OF):
-                        session.step(1)
-                        now = session.get("texture.momentum").astype(np.float64).ravel()
-                        found.append(now - 0.5 * last)
-                        last = now
-                    row = {"case": f"{gradient}, atlas {atlas}, {'shape moves' if moving else 'shape at rest'}", "part": "texture",
-                           "mesh": name, "gradient": gradient, "atlas": atlas, "moving": moving, "size": size}
-                    for key, g in (("", found[0]), ("_of_mean", np.mean(found, 0))):
-                        row[f"error{key}"] = rounded(np.linalg.norm(g - true) / np.linalg.norm(true))
-                        row[f"cosine{key}"] = float(f"{g @ true / np.linalg.norm(g) / np.linalg.norm(true):.6f}")
-                    rows.append(row)
+            for moving, gradient in chosen:
+                session = run.open(textured(mesh, cameras, atlas, gradient, moving))
+                sessions.append(session)
+                session.set("targets", targets)
+                last, found = 0.0, []
+                for _ in range(MEAN_OF):
+                    session.step(1)
+                    now = session.get("texture.momentum").astype(np.float64).ravel()
+                    found.append(now - 0.5 * last)
+                    last = now
+                row = {"case": texture_case(gradient, atlas, moving), "part": "texture", "mesh": name, "gradient": gradient,
+                       "atlas": atlas, "moving": moving, "size": size}
+                for key, g in (("", found[0]), ("_of_mean", np.mean(found, 0))):
+                    row[f"error{key}"] = rounded(np.linalg.norm(g - true) / np.linalg.norm(true))
+                    row[f"cosine{key}"] = float(f"{g @ true / np.linalg.norm(g) / np.linalg.norm(true):.6f}")
+                rows.append(row)
             meters = [Meter(lambda s=s: s.step(1)) for s in sessions]
             take_turns(meters, 0.1 if quick else 1.5)
             yield from ({**row, **meter.row} for row, meter in zip(rows, meters))
@@ -250,11 +264,13 @@ def part_fit(run: Run) -> Iterator[dict]:
         seen = cameras(size)
         targets = run.coverage(mesh, seen)
         for distance, k in estimators:
+            case = f"{name_of(distance, k)}, r {r:g}, six views {size}x{size}"
+            if not run.wants(case):
+                continue
             problem = Problem(start, seen, albedo="constant")
             problem.phase("shape", 1000, {"vertices": Adam(0.01)}, [Loss("silhouette"), Loss("laplacian", 0.05)],
                           softness_of(distance, k, r))
-            row = {"case": f"{name_of(distance, k)}, r {r:g}, six views {size}x{size}", "part": "fit", "mesh": name,
-                   "distance_by": distance, "K": k, "r": r, "size": size}
+            row = {"case": case, "part": "fit", "mesh": name, "distance_by": distance, "K": k, "r": r, "size": size}
             yield row | curve(run, problem, targets, surface, (5, 10) if quick else (20, 50, 100, 150, 250, 500))
 
 
@@ -268,12 +284,14 @@ def part_layers(run: Run) -> Iterator[dict]:
     for k in (1,) if quick else run.options.layers:
         for distance in ("outline",) if quick else ("outline", "face") if k == 1 else ("face",):
             for r in (2.0,) if quick else run.options.radii:
+                case = f"{name_of(distance, k)}, r {r:g}, {steps} steps"
+                if not run.wants(case):
+                    continue
                 problem = Problem(start, seen, order="shuffle", albedo="constant")
                 adam = Adam(falling(recipe.shape_rate, steps), recipe.betas)
                 problem.phase("shape", steps, {"vertices": adam},
                               [Loss("silhouette"), *smooth(recipe.laplacian, recipe.consistency, steps)], softness_of(distance, k, r))
-                row = {"case": f"{name_of(distance, k)}, r {r:g}, {steps} steps", "part": "layers", "mesh": name,
-                       "distance_by": distance, "K": k, "r": r, "size": size}
+                row = {"case": case, "part": "layers", "mesh": name, "distance_by": distance, "K": k, "r": r, "size": size}
                 stops = (10, 20) if quick else (100, 250, 500, 1000, 1500, 2000, 2500)
                 yield row | curve(run, problem, targets, surface, stops)
 
