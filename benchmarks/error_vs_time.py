@@ -12,6 +12,7 @@ fit       sphere to Spot as in sphere_to_spot.py, but the target is coverage: dr
           distance to the true surface after several numbers of iterations
 layers    distance and K by r (the paper's Figures 11 and 12): a sphere of 1280 faces becomes the bunny by silhouettes of 24 views of
           128x128, one a step in random order, 2500 steps with the schedules of reconstruct.py, sigma = r / 7
+speed     a step of each of those, in turns
 
 --part takes one or several, or none to draw only what --json FILE holds; --only takes the cases whose name holds the word. A row
 replaces the one of its part and case there. Where DIR/meshes lacks a mesh, and with --quick, the pear is taken. ms: wall time, median.
@@ -53,7 +54,7 @@ from dressi_edge.compiler.render.problem import Loss, Problem
 from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, normalize, pear
 from dressi_edge.compiler.topology import Topology
 
-PARTS = ("gradient", "texture", "fit", "layers")
+PARTS = ("gradient", "texture", "fit", "layers", "speed")
 ESTIMATORS = (("outline", 1), ("face", 1), ("face", 3))
 COLORS = {"outline": "#1b6ca8", "face K=1": "#d1495b", "face K=3": "#2e8b57", "face K=5": "#8a5a00"}
 MEAN_OF = 64  # steps of inverse UV
@@ -274,26 +275,55 @@ def part_fit(run: Run) -> Iterator[dict]:
             yield row | curve(run, problem, targets, surface, (5, 10) if quick else (20, 50, 100, 150, 250, 500))
 
 
-def part_layers(run: Run) -> Iterator[dict]:
+def layers_cases(run: Run) -> Iterator[tuple[str, str, int, float]]:
+    """(name, distance, K, r) of the grid."""
+    for k in (1,) if run.options.quick else run.options.layers:
+        for distance in ("outline",) if run.options.quick else ("outline", "face") if k == 1 else ("face",):
+            for r in (2.0,) if run.options.quick else run.options.radii:
+                if run.wants(case := f"{name_of(distance, k)}, r {r:g}"):
+                    yield case, distance, k, r
+
+
+def layers_problem(run: Run, softness: Softness) -> Problem:
     quick, recipe = run.options.quick, Recipe(**RECIPES["spot"])
-    name, mesh = run.mesh("bunny.obj")
     steps, size = (20, 32) if quick else (2500, 128)
-    surface, start = Surface(mesh.positions, mesh.faces), icosphere(2 if quick else 3, 0.6)
     seen = orbit(24, (20.0, -20.0, 50.0, 0.0), 2.5, 50.0, (size, size))
-    targets = run.coverage(mesh, seen)
-    for k in (1,) if quick else run.options.layers:
-        for distance in ("outline",) if quick else ("outline", "face") if k == 1 else ("face",):
-            for r in (2.0,) if quick else run.options.radii:
-                case = f"{name_of(distance, k)}, r {r:g}, {steps} steps"
-                if not run.wants(case):
-                    continue
-                problem = Problem(start, seen, order="shuffle", albedo="constant")
-                adam = Adam(falling(recipe.shape_rate, steps), recipe.betas)
-                problem.phase("shape", steps, {"vertices": adam},
-                              [Loss("silhouette"), *smooth(recipe.laplacian, recipe.consistency, steps)], softness_of(distance, k, r))
-                row = {"case": case, "part": "layers", "mesh": name, "distance_by": distance, "K": k, "r": r, "size": size}
-                stops = (10, 20) if quick else (100, 250, 500, 1000, 1500, 2000, 2500)
-                yield row | curve(run, problem, targets, surface, stops)
+    problem = Problem(icosphere(2 if quick else 3, 0.6), seen, order="shuffle", albedo="constant")
+    problem.phase("shape", steps, {"vertices": Adam(falling(recipe.shape_rate, steps), recipe.betas)},
+                  [Loss("silhouette"), *smooth(recipe.laplacian, recipe.consistency, steps)], softness)
+    return problem
+
+
+def part_layers(run: Run) -> Iterator[dict]:
+    name, mesh = run.mesh("bunny.obj")
+    surface, targets = Surface(mesh.positions, mesh.faces), None
+    stops = (10, 20) if run.options.quick else (100, 250, 500, 1000, 1500, 2000, 2500)
+    for case, distance, k, r in layers_cases(run):
+        problem = layers_problem(run, softness_of(distance, k, r))
+        if targets is None:
+            targets = run.coverage(mesh, problem.cameras)
+        row = {"case": f"{case}, {stops[-1]} steps", "part": "layers", "mesh": name, "distance_by": distance, "K": k, "r": r,
+               "size": problem.width}
+        yield row | curve(run, problem, targets, surface, stops)
+
+
+def part_speed(run: Run) -> Iterator[dict]:
+    """All open at once and in turns, at the start of the way: ratios that other work disturbs little."""
+    sessions, rows = [], []
+    try:
+        for case, distance, k, r in layers_cases(run):
+            problem = layers_problem(run, softness_of(distance, k, r))
+            rows.append({"case": case, "part": "speed", "distance_by": distance, "K": k, "r": r, "size": problem.width})
+            sessions.append(run.open(problem))
+            sessions[-1].set("targets", np.zeros(sessions[-1].shape("targets"), np.float32))
+            sessions[-1].step(5)
+        meters = [Meter(lambda s=s: s.step(1)) for s in sessions]
+        if meters:
+            take_turns(meters, 0.1 if run.options.quick else 30.0)
+        yield from ({**row, **meter.row} for row, meter in zip(rows, meters))
+    finally:
+        for session in sessions:
+            session.close()
 
 
 # ---- tables and plot
@@ -341,6 +371,8 @@ def tables(results: list[dict]) -> str:
         out.append(markdown(["case", *(f"{s}" for s in stops), "ms a step", "cpu ms", "cpu s"], [
             [x["case"], *(f"{d:.4f}" for d in x["distance"]), f"{x['ms']:g}", f"{x['cpu_ms']:g}", f"{x['cpu_seconds'][-1]:g}"]
             for x in of["layers"]]))
+    if of["speed"]:
+        out.append(markdown(["case", "ms a step", "cpu ms"], [[x["case"], f"{x['ms']:g}", f"{x['cpu_ms']:g}"] for x in of["speed"]]))
     return "\n".join(out)
 
 
@@ -400,8 +432,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", choices=PARTS, nargs="*", default=PARTS, help="default: all")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write the SVG there")
-    parser.add_argument("--layers", type=int, nargs="+", default=[1, 3, 5], metavar="K", help="of part layers")
-    parser.add_argument("--radii", type=float, nargs="+", default=[1.0, 2.0, 4.0, 8.0], metavar="R", help="of part layers")
+    parser.add_argument("--layers", type=int, nargs="+", default=[1, 3, 5], metavar="K", help="of parts layers and speed")
+    parser.add_argument("--radii", type=float, nargs="+", default=[1.0, 2.0, 4.0, 8.0], metavar="R", help="of parts layers and speed")
     options = options_of(parser, arguments)
     document = json.loads(options.json.read_text()) if options.json and options.json.is_file() else {"results": []}
     with tempfile.TemporaryDirectory(prefix="dressi-error-") as folder:

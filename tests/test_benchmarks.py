@@ -93,8 +93,8 @@ def test_sphere_to_spot_quick(tmp_path):
         assert row["iou"] > 0.9
 
 
-@pytest.mark.parametrize("parts, panels", [(("gradient", "layers"), 5), pytest.param(error_vs_time.PARTS, 7, marks=pytest.mark.full)],
-                         ids=["cheap", "all"])
+@pytest.mark.parametrize("parts, panels", [
+    (("gradient", "layers"), 5), pytest.param(error_vs_time.PARTS, 7, marks=pytest.mark.full)], ids=["cheap", "all"])
 def test_error_vs_time_quick(tmp_path, parts, panels):
     error_vs_time.main(["--quick", "--part", *parts, "--json", str(tmp_path / "out.json"), "--plot", str(tmp_path / "out.svg")])
     document = json.loads((tmp_path / "out.json").read_text())
