@@ -103,16 +103,17 @@ class Fuzz:
         if kind == "bytes":
             return mutate_bytes(r.choice(self.files), r)
         d, blobs = r.choice(self.sources)
+        version = bundle.version_of(d.get("variants", [d]))
         if kind == "text":
-            return packed(mutate_bytes(msgpack.packb(d), r), bytes(64), bundle.SEVERAL if "variants" in d else bundle.VERSION)
+            return packed(mutate_bytes(msgpack.packb(d), r), bytes(64), version)
         if kind == "words":
             blobs = list(blobs)
             k = r.choice(r.choice(d.get("variants", [d]))["shaders"])
             blobs[k] = mutate_words(blobs[k], r)
-            return bundle.dumps(d, blobs)
+            return bundle.dumps(d, blobs, version)
         d = msgpack.unpackb(msgpack.packb(d))
         mutate_fields(d, r)
-        return bundle.dumps(d, blobs)
+        return bundle.dumps(d, blobs, version)
 
     def one(self) -> None:
         kind = self.r.choice(("bytes", "text", "words", "words", "fields", "fields", "fields", "fields"))

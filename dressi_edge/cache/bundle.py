@@ -21,7 +21,7 @@ from .files import replace_file
 from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
-VERSION, SEVERAL = 1, 2  # format versions: of a file with one variant, with several
+VERSION, SEVERAL, HALF = 1, 2, 3  # format versions: of a file with one variant, with several, with images of 16 bits a channel
 HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
@@ -77,8 +77,16 @@ def combine(made: Sequence[tuple[dict, list[bytes]]]) -> tuple[dict, list[bytes]
     return {"variants": variants}, list(numbers)
 
 
-def dumps(description: dict, blobs: list[bytes]) -> bytes:
-    """The file's bytes. `description` (of one variant, or of `combine`) lacks "blobs", which is made here."""
+def version_of(descriptions: Sequence[dict]) -> int:
+    """The format version of a file with these variants."""
+    if any(image["format"] in v.HALF_FORMATS for d in descriptions for image in d["images"]):
+        return HALF
+    return VERSION if len(descriptions) == 1 else SEVERAL
+
+
+def dumps(description: dict, blobs: list[bytes], version: int | None = None) -> bytes:
+    """The file's bytes, of a version before that with images of 16 bits unless given. `description` (of one variant, or of
+    `combine`) lacks "blobs", which is made here."""
     entries, at = [], 0
     for blob in blobs:
         entries.append([at, len(blob), hashlib.sha256(blob).digest()])
@@ -92,7 +100,7 @@ def dumps(description: dict, blobs: list[bytes]) -> bytes:
     while HEADER.size + len(text) + _pad(HEADER.size + len(text)) != start:
         start = HEADER.size + len(text) + _pad(HEADER.size + len(text))
         text = pack(start)
-    version = SEVERAL if "variants" in description else VERSION
+    version = version or (SEVERAL if "variants" in description else VERSION)
     head = HEADER.pack(MAGIC, version, 0, len(text), hashlib.sha256(text).digest()) + text
     parts = [head, bytes(_pad(len(head)))]
     for blob in blobs:
@@ -102,7 +110,7 @@ def dumps(description: dict, blobs: list[bytes]) -> bytes:
 
 def write(path: str | os.PathLike, description: dict, blobs: list[bytes]) -> str:
     """Write the bundle atomically; its SHA-256 (hexadecimal)."""
-    data = dumps(description, blobs)
+    data = dumps(description, blobs, version_of(description.get("variants", [description])))
     try:
         replace_file(path, data)
     except OSError as e:
@@ -145,9 +153,9 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
     magic, version, reserved, size, digest = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise BundleError("not a bundle: the file does not begin with DRESSI")
-    if version not in (VERSION, SEVERAL):
-        raise BundleError(f"format version {version}; this reader knows {VERSION} and {SEVERAL}; compile the bundle again or "
-                          "update dressi_edge")
+    if version not in (VERSION, SEVERAL, HALF):
+        raise BundleError(f"format version {version}; this reader knows {VERSION} to {HALF}; compile the bundle again or update "
+                          "dressi_edge")
     if reserved != 0:
         raise BundleError(f"reserved field is {reserved}; 0 is allowed")
     if size > len(data) - HEADER.size:
@@ -164,11 +172,14 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
         raise
     except Exception as e:  # msgpack raises many kinds
         raise BundleError(f"the description is no msgpack: {type(e).__name__}") from None
-    if version == SEVERAL:
+    several = version == SEVERAL or version == HALF and type(description) is dict and "variants" in description
+    if several:
         descriptions = check_variants(description)
     else:
         check_description(description)
         descriptions = [description]
+    if version != (needed := version_of(descriptions)):
+        raise BundleError(f"format version {version}; what the file holds is written as version {needed}")
     at = HEADER.size + size
     for k, (offset, length, sha) in enumerate(description["blobs"]):
         if any(data[at:offset]) or offset != at + _pad(at):
@@ -186,7 +197,7 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
             check_blobs(d)
             found.append(Bundle(d, memoryview(data), digest))
         except BundleError as e:
-            raise BundleError(f"variants[{k}]: {e}" if version == SEVERAL else str(e)) from None
+            raise BundleError(f"variants[{k}]: {e}" if several else str(e)) from None
     found[0].after = tuple(found[1:])
     return found[0]
 
@@ -242,7 +253,7 @@ def check_blobs(d: dict) -> None:
             raise BundleError(f"{where}: blobs[{k}] has {d['blobs'][k][1]} bytes; {size} are needed")
 
     def image_bytes(image: dict) -> int:
-        return 4 * v.FORMAT_CHANNELS[image["format"]] * image["width"] * image["height"]
+        return v.TEXEL_BYTES[image["format"]] * image["width"] * image["height"]
 
     for k, image in enumerate(d["images"]):
         if image["data"] is not None:

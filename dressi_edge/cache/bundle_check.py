@@ -281,6 +281,8 @@ def _value(where, value, d) -> None:
     if image["format"] not in v.FORMAT_NAMES or v.FORMAT_CHANNELS[image["format"]] != (4 if channels == 3 else channels) \
             or (image["format"] in v.INTEGER_FORMATS) != is_int(value["type"]):
         raise BundleError(f"{where}: its image has format {image['format']}, which does not hold {value['type']}")
+    if image["format"] in v.HALF_FORMATS and value["role"] != "input":
+        raise BundleError(f"{where}: its image has format {image['format']}; only inputs may have 16 bits a channel")
     wanted = v.USAGE_TRANSFER_SRC | (0 if value["role"] == "output" else v.USAGE_TRANSFER_DST)
     if image["usage"] & wanted != wanted:
         raise BundleError(f"{where}: its image lacks usage {wanted}")

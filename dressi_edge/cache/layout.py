@@ -22,6 +22,12 @@ def beyond_fp32(array) -> np.ndarray:
         return ~np.isfinite(np.asarray(array).astype(np.float32))
 
 
+def halved(array) -> np.ndarray:
+    """float16 of numbers as the device has them: rounded to fp32, then to fp16, each to nearest even."""
+    with np.errstate(over="ignore"):
+        return np.asarray(array).astype(np.float32).astype(np.float16)
+
+
 def table_size(count: int) -> tuple[int, int]:
     """Width and height of the image that holds `count` entries: a power-of-two width (addresses are a mask and a shift), from 4 on,
     while at most 4096 rows are needed. Tall and narrow, so that entries near each other in number share a block of pixels: what one
@@ -62,8 +68,8 @@ class Layout:
                 "atlas": (self.count, self.height, self.width)}[self.kind]
         return body if c == 1 else (*body, c)
 
-    def to_image(self, array, name: str) -> np.ndarray:
-        """(height, width, channels) of the user's array, float64 or int64. Raises InputError."""
+    def to_image(self, array, name: str, half: bool = False) -> np.ndarray:
+        """(height, width, channels) of the user's array, float64 or int64; `half`: rounded to fp16. Raises InputError."""
         array = np.asarray(array)
         if array.shape not in (self.shape, (*self.shape, 1) if CHANNELS[self.vtype] == 1 else self.shape):
             raise InputError(f"{name} has shape {array.shape}; {self.shape} is needed")
@@ -77,6 +83,12 @@ class Layout:
         if not is_int(self.vtype) and (bad := beyond_fp32(array)).any():
             at = tuple(int(i) for i in np.argwhere(bad)[0])
             raise InputError(f"{name}{list(at) if at else ''} is {array[at]:g}, beyond the range of fp32; at most 3.4e38 is allowed")
+        if half:
+            given, array = array, halved(array).astype(np.float64)
+            if (bad := ~np.isfinite(array)).any():
+                at = tuple(int(i) for i in np.argwhere(bad)[0])
+                raise InputError(f"{name}{list(at) if at else ''} is {given[at]:g}, beyond the range of fp16 in which it is stored; at "
+                                 "most 65504 is allowed, more with storage float")
         c, (width, height) = CHANNELS[self.vtype], self.size
         if self.kind == "table":
             padded = np.zeros((width * height, c), array.dtype)

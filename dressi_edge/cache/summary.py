@@ -11,7 +11,7 @@ from . import vulkan as v
 
 def image_bytes(image: Mapping) -> int:
     """Bytes of one slot of an image; depth counts four a pixel."""
-    return 4 * v.FORMAT_CHANNELS.get(image["format"], 1) * image["width"] * image["height"]
+    return v.TEXEL_BYTES[image["format"]] * image["width"] * image["height"]
 
 
 def stage_bytes(d: Mapping, stage: Mapping) -> int:

@@ -15,7 +15,6 @@ from .profile import Profile
 from .spirv_interface import Interface
 
 FORMAT_NAMES = {**v.FORMAT_NAMES, **{number: name for name, number in v.DEPTH_FORMATS.items()}}
-CHANNEL_BITS = 32  # every colour format of a bundle has channels of 32 bits
 MEMORY_TYPES = 32  # VK_MAX_MEMORY_TYPES: a session allocates once a memory type, and once for its transfers
 USAGE_FEATURES = ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color"), (v.USAGE_INPUT, "color"))
 # descriptor kind: what it counts against; a combined sampler is a sampler and a sampled image, but one resource
@@ -127,7 +126,7 @@ class _Count:
 
     def tile(self, where: str, p: Mapping, attachments) -> Iterator[str]:
         most = self.profile.tile_bits
-        bits = sum(CHANNEL_BITS * v.FORMAT_CHANNELS[p["attachments"][a]["format"]] for a in attachments)
+        bits = sum(8 * v.TEXEL_BYTES[p["attachments"][a]["format"]] for a in attachments)
         if most is not None and bits > most:
             yield f"{where} needs {bits} bits of tile colour a pixel; profile {self.profile.name} allows {most} (tile_bits)"
 

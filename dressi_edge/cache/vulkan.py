@@ -1,10 +1,12 @@
 """The few Vulkan numbers that a bundle holds, by name. Source: the Vulkan specification's enumerations."""
 
-FORMATS = {"R32_SINT": 99, "R32_SFLOAT": 100, "R32G32_SINT": 102, "R32G32_SFLOAT": 103, "R32G32B32A32_SINT": 108,
-           "R32G32B32A32_SFLOAT": 109}
+FORMATS = {"R16_SFLOAT": 76, "R16G16_SFLOAT": 83, "R16G16B16A16_SFLOAT": 97, "R32_SINT": 99, "R32_SFLOAT": 100, "R32G32_SINT": 102,
+           "R32G32_SFLOAT": 103, "R32G32B32A32_SINT": 108, "R32G32B32A32_SFLOAT": 109}
 FORMAT_NAMES = {number: name for name, number in FORMATS.items()}
-FORMAT_CHANNELS = {99: 1, 100: 1, 102: 2, 103: 2, 108: 4, 109: 4}
+FORMAT_CHANNELS = {76: 1, 83: 2, 97: 4, 99: 1, 100: 1, 102: 2, 103: 2, 108: 4, 109: 4}
 INTEGER_FORMATS = frozenset({99, 102, 108})
+HALF_FORMATS = frozenset({76, 83, 97})
+TEXEL_BYTES = {0: 4, **{f: channels * (2 if f in HALF_FORMATS else 4) for f, channels in FORMAT_CHANNELS.items()}}  # 0: depth
 DEPTH_FORMATS = {"D32_SFLOAT": 126, "X8_D24_UNORM_PACK32": 125}
 
 USAGE_TRANSFER_SRC, USAGE_TRANSFER_DST, USAGE_SAMPLED, USAGE_COLOR, USAGE_DEPTH, USAGE_INPUT = 1, 2, 4, 16, 32, 128

@@ -96,7 +96,7 @@ class Images:
 
 def image_bytes(record: dict) -> int:
     """Of one slot; depth takes four bytes in both its formats."""
-    return 4 * v.FORMAT_CHANNELS.get(record["format"], 1) * record["width"] * record["height"]
+    return v.TEXEL_BYTES[record["format"]] * record["width"] * record["height"]
 
 
 def megabytes(size: int) -> str:

@@ -13,6 +13,7 @@ from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
 from ..cache.profile import Profile
 from ..cache.steps import bounded, check_step
+from ..cache.vulkan import HALF_FORMATS
 from . import checkpoint as checkpoints
 from . import vk
 from .device import Device
@@ -198,12 +199,13 @@ class Session:
 
     def set(self, name: str, array) -> None:
         """Give an input or state a new value: an array of `shape(name)`. InputError for a wrong shape, type, NaN, Inf, or
-        numbers that are infinite in fp32."""
+        numbers that are infinite in fp32, or in fp16 if it is stored so."""
         value = self._value(name, ("input", "state"))
-        pixels = self._layouts[name].to_image(array, name)
+        half = self._d["images"][value["image"]]["format"] in HALF_FORMATS
+        pixels = self._layouts[name].to_image(array, name, half)
         if CHANNELS[value["type"]] == 3:
             pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
-        self._put({name: np.ascontiguousarray(pixels, KIND[is_int(value["type"])])})
+        self._put({name: np.ascontiguousarray(pixels, np.float16 if half else KIND[is_int(value["type"])])})
 
     def _changes(self, names) -> list:
         """What is true once these values are new."""
@@ -220,9 +222,10 @@ class Session:
     def get(self, name: str) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
         value = self._value(name, ("input", "state", "output"))
-        image = self._d["images"][value["image"]]
-        pixels = np.frombuffer(self._get(value), KIND[is_int(value["type"])]).reshape(image["height"], image["width"], -1)
-        return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).copy()
+        image, kind = self._d["images"][value["image"]], KIND[is_int(value["type"])]
+        stored = np.float16 if image["format"] in HALF_FORMATS else kind
+        pixels = np.frombuffer(self._get(value), stored).reshape(image["height"], image["width"], -1)
+        return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).astype(kind)
 
     @_serial
     def _get(self, value: dict) -> bytes:

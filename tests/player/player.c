@@ -394,16 +394,20 @@ static Blob *blobs;
 static uint32_t blob_count, variant_count;
 static Variant variants[MAX_VARIANTS], bundle;  /* `bundle` is the variant being read or played */
 
+static bool is_half(uint32_t format) { return format == 76 || format == 83 || format == 97; }
 static uint32_t texel_bytes(uint32_t format) {
+    if (is_half(format)) return format == 76 ? 2 : format == 83 ? 4 : 8;
     return format == 99 || format == 100 ? 4 : format == 102 || format == 103 ? 8 : 16;
 }
 static bool is_integer(uint32_t format) { return format == 99 || format == 102 || format == 108; }
 static uint64_t image_bytes(const Image *image) { return (uint64_t)image->width * image->height * texel_bytes(image->format); }
 static uint64_t rounded(uint64_t n) { return (n + BLOCK - 1) / BLOCK * BLOCK; }
 
-#define FORMATS 0, 99, 100, 102, 103, 108, 109
-static const char *FORMAT_NAMES[] = {"R32_SINT", "R32_SFLOAT", "R32G32_SINT", "R32G32_SFLOAT", "R32G32B32A32_SINT", "R32G32B32A32_SFLOAT"};
-static const int FORMAT_NUMBERS[] = {99, 100, 102, 103, 108, 109};
+#define FORMATS 0, 76, 83, 97, 99, 100, 102, 103, 108, 109
+static const char *FORMAT_NAMES[] = {"R16_SFLOAT", "R16G16_SFLOAT", "R16G16B16A16_SFLOAT", "R32_SINT", "R32_SFLOAT", "R32G32_SINT",
+                                     "R32G32_SFLOAT", "R32G32B32A32_SINT", "R32G32B32A32_SFLOAT"};
+static const int FORMAT_NUMBERS[] = {76, 83, 97, 99, 100, 102, 103, 108, 109};
+enum { FORMAT_COUNT = sizeof FORMAT_NUMBERS / sizeof *FORMAT_NUMBERS };
 static const char *FEATURES[] = {"sampled", "color", "filter"};
 static const VkFormatFeatureFlags FEATURE_BITS[] = {VK_FORMAT_FEATURE_SAMPLED_IMAGE_BIT, VK_FORMAT_FEATURE_COLOR_ATTACHMENT_BIT,
                                                     VK_FORMAT_FEATURE_SAMPLED_IMAGE_FILTER_LINEAR_BIT};
@@ -510,7 +514,7 @@ static void read_needs(void) {
             }
     if (known != limits->count) refuse("limits names what this player does not know");
     known = 0;
-    for (uint32_t k = 0; k < 6; k++)
+    for (uint32_t k = 0; k < FORMAT_COUNT; k++)
         for (uint32_t j = 0; j < formats->count; j++)
             if (same(formats->is.items + 2 * j, FORMAT_NAMES[k])) {
                 const Node *wanted = list(formats->is.items + 2 * j + 1, MAX_LIST);
@@ -665,7 +669,8 @@ static void read_values(void) {
         if (image->width != w || image->height != h) refuse("its image is %u x %u; %llu x %llu is needed", image->width, image->height,
                                                             (unsigned long long)w, (unsigned long long)h);
         uint32_t format = (value->is_int ? 99 : 100) + (value->channels == 1 ? 0 : value->channels == 2 ? 3 : 9);
-        if (image->format != format) refuse("its image has another format than its type");
+        uint32_t half = value->is_int || value->role != INPUT ? format : value->channels == 1 ? 76 : value->channels == 2 ? 83 : 97;
+        if (image->format != format && image->format != half) refuse("its image has another format than its type");
         if (image->value >= 0 || image->data >= 0) refuse("its image is another value's, or a constant");
         if (image->slots != 1 && value->role != STATE) refuse("its image has two slots");
         uint32_t usage = value->role == OUTPUT ? 1 : 3;
@@ -965,24 +970,32 @@ static void check_alike(const char *key, const char *const *names, int count) {
     pop();
 }
 
+static bool has_half(void) {
+    for (uint32_t k = 0; k < bundle.image_count; k++) if (is_half(bundle.images[k].format)) return true;
+    return false;
+}
+
 static void read_bundle(const char *name) {
     static const char *const seen_of_values[] = {"name", "role", "type", "layout", "width", "height", "count", "columns", "initial"};
     static const char *const seen_of_plans[] = {"name", "updates", "outputs", "steps"};
     file = load_file(name, &file_size);
     if (file_size < 56 || memcmp(file, "DRESSI\r\n", 8)) refuse("is no bundle");
     uint64_t version = little(file + 8, 4), size = little(file + 16, 8);
-    if (version < 1 || version > 2) refuse("format version %llu", (unsigned long long)version);
+    if (version < 1 || version > 3) refuse("format version %llu", (unsigned long long)version);
     if (little(file + 12, 4)) refuse("the reserved field is not 0");
     if (size > MAX_DESCRIPTION || size > file_size - 56) refuse("the description lies beyond the end of the file, or is too large");
     check_digest(file + 56, size, file + 24, "the description");
     static Node root;
     root = read_description(file + 56, size);
-    keys(&root, version == 2 ? "variants blobs" : VARIANT_KEYS " blobs");
+    bool several = version == 2, half = false;
+    for (uint32_t k = 0; version == 3 && root.kind == MAP && k < root.count; k++) several |= same(root.is.items + 2 * k, "variants");
+    keys(&root, several ? "variants blobs" : VARIANT_KEYS " blobs");
     read_blobs(&root, 56 + size);
-    if (version == 1) {
+    if (!several) {
         bundle.root = &root;
         read_variant();
         variants[variant_count++] = bundle;
+        if (has_half() != (version == 3)) refuse("format version %llu is not that of its images", (unsigned long long)version);
         return;
     }
     const Node *list = open_list(&root, "variants", MAX_VARIANTS);
@@ -994,10 +1007,12 @@ static void read_bundle(const char *name) {
         for (uint32_t j = 0; j < k; j++)
             if (!strcmp(variants[j].profile, bundle.profile)) refuse("profile.name '%s' is taken", bundle.profile);
         variants[variant_count++] = bundle;
+        half |= has_half();
         check_alike("values", seen_of_values, sizeof seen_of_values / sizeof *seen_of_values);
         check_alike("plans", seen_of_plans, sizeof seen_of_plans / sizeof *seen_of_plans);
     }
     pop();
+    if (half != (version == 3)) refuse("format version %llu is not that of its images", (unsigned long long)version);
 }
 
 /* ---- Vulkan: a device that offers what is needed ---- */
@@ -1045,7 +1060,7 @@ static bool fits(void) {
             fit = false;
         }
     }
-    for (uint32_t k = 0; k < 6; k++)
+    for (uint32_t k = 0; k < FORMAT_COUNT; k++)
         for (uint32_t j = 0; j < formats->count; j++)
             for (uint32_t f = 0; same(formats->is.items + 2 * j, FORMAT_NAMES[k]) && f < formats->is.items[2 * j + 1].count; f++)
                 for (int bit = 0; bit < 3; bit++)
@@ -1493,13 +1508,37 @@ static uint64_t place(const Value *value, uint64_t e) {
     return (v / value->columns * value->height + y) * value->width * value->columns + v % value->columns * value->width + x;
 }
 
-/* Between the user's array and a whole image; both four bytes a channel. */
-static void arrange(const Value *value, uint32_t *array, uint32_t *texels, bool to_texels) {
+/* The bits of an fp32 number below 65520 as fp16, to nearest even; and back. */
+static uint16_t to_half(uint32_t bits) {
+    uint32_t sign = bits >> 16 & 0x8000, size = bits & 0x7fffffff;
+    if (size < 0x38800000) {  /* below 2^-14: in steps of 2^-24 */
+        float x;
+        memcpy(&x, &size, 4);
+        return sign | (uint32_t)lrintf(x * 16777216.0f);
+    }
+    return sign | (size + 0xfff + (size >> 13 & 1) - 0x38000000) >> 13;
+}
+
+static uint32_t from_half(uint16_t half) {
+    uint32_t sign = (uint32_t)(half & 0x8000) << 16, exponent = half >> 10 & 31, bits;
+    float x = (half & 1023) / 16777216.0f;
+    memcpy(&bits, &x, 4);
+    if (exponent) bits = (exponent == 31 ? 255 : exponent + 112) << 23 | (uint32_t)(half & 1023) << 13;
+    return sign | bits;
+}
+
+/* Between the user's array, of four bytes a channel, and a whole image, of as many or two. */
+static void arrange(const Value *value, uint32_t *array, void *texels, bool to_texels) {
     uint32_t stride = value->channels == 3 ? 4 : value->channels;
+    bool half = is_half(bundle.images[value->image].format);
     for (uint64_t e = 0, n = entries(value); e < n; e++)
         for (uint32_t c = 0; c < value->channels; c++) {
-            uint32_t *a = array + e * value->channels + c, *t = texels + place(value, e) * stride + c;
-            if (to_texels) *t = *a; else *a = *t;
+            uint32_t *a = array + e * value->channels + c;
+            uint64_t at = place(value, e) * stride + c;
+            if (half && to_texels) ((uint16_t *)texels)[at] = to_half(*a);
+            else if (half) *a = from_half(((uint16_t *)texels)[at]);
+            else if (to_texels) ((uint32_t *)texels)[at] = *a;
+            else *a = ((uint32_t *)texels)[at];
         }
 }
 
@@ -1508,10 +1547,11 @@ static void set_value(Value *value, const char *name) {
     uint64_t size, wanted = entries(value) * value->channels * 4;
     uint32_t *array = (uint32_t *)load_file(name, &size);
     if (size != wanted) die("%s has %llu bytes; %s needs %llu", name, (unsigned long long)size, value->name, (unsigned long long)wanted);
-    for (uint64_t k = 0; k < wanted / 4 && !value->is_int; k++)
-        if ((array[k] >> 23 & 255) == 255) die("%s: number %llu is not finite", name, (unsigned long long)k);
     Image *image = bundle.images + value->image;
-    uint32_t *texels = make(image_bytes(image), 1);
+    uint32_t most = is_half(image->format) ? 0x477fefff : 0x7f7fffff;  /* the last that is not infinite once rounded */
+    for (uint64_t k = 0; k < wanted / 4 && !value->is_int; k++)
+        if ((array[k] & 0x7fffffff) > most) die("%s: number %llu is not finite as stored", name, (unsigned long long)k);
+    void *texels = make(image_bytes(image), 1);
     arrange(value, array, texels, true);
     transfer(image, image->parity, texels, true);
     value->has_value = true;
@@ -1531,7 +1571,8 @@ static void get_value(Value *value, const char *name) {
         else if (!plan->has_run) die("%s, which writes %s, has not run", plan->name, value->name);
     }
     uint64_t size = entries(value) * value->channels * 4;
-    uint32_t *texels = make(image_bytes(image), 1), *array = make(size, 1);
+    uint32_t *array = make(size, 1);
+    void *texels = make(image_bytes(image), 1);
     transfer(image, image->parity, texels, false);
     arrange(value, array, texels, false);
     FILE *f = fopen(name, "wb");
