@@ -72,6 +72,8 @@ def parser() -> argparse.ArgumentParser:
                      help="device profile: a name of `dressi-edge profiles list`, or a .json file; several times, best first, for "
                      "one bundle with a variant for each")
     sub.add_argument("-o", "--output", required=True, metavar="X.dressi", help="the bundle to write")
+    sub.add_argument("--storage", choices=("float", "half"), help="half: targets and gradients of pixels lie in images of 16 bits a "
+                     "channel; default float, unless all profiles prefer half")
     json_switch(sub)
 
     sub = command("run", "solve a bundle: step its phases and write the mesh, pictures and numbers")

@@ -68,7 +68,7 @@ ROWS = [
     ("needs_feature", "ops", [("needs.formats.R32_SFLOAT", ["blend"])], "needs.formats.R32_SFLOAT[0] is 'blend'; allowed: sampled"),
     ("depth_format", "silhouette", [("depth_formats", [99])], "depth_formats[0] is 99; allowed: 126 125"),
     # images and samplers
-    ("image_format", "ops", [("images[0].format", 37)], "images[0].format is 37; allowed: 0 99 100 102 103 108 109"),
+    ("image_format", "ops", [("images[0].format", 37)], "images[0].format is 37; allowed: 0 76 83 97 99 100 102 103 108 109"),
     ("image_format_bool", "ops", [("images[0].format", False)], "images[0].format is False; allowed"),
     ("image_width", "ops", [("images[0].width", 0)], "images[0].width is 0; an integer from 1 to 65536 is allowed"),
     ("image_height", "ops", [("images[0].height", 1 << 63)], "images[0].height is 9223372036854775808; an integer from 1"),
@@ -116,6 +116,8 @@ ROWS = [
     ("value_name", "ops", [("values[1].name", "x")], "values[1].name 'x' is taken"),
     ("value_role", "ops", [("values[0].role", "god")], "values[0].role is 'god'; allowed: input state output"),
     ("value_type", "ops", [("values[0].type", "mat4")], "values[0].type is 'mat4'; allowed: float vec2"),
+    ("value_half", "half", [("values[2].role", "state")], "values[2]: its image has format 97; only inputs may have 16 bits"),
+    ("value_half_int", "half", [("values[2].type", "ivec3")], "values[2]: its image has format 97, which does not hold ivec3"),
     ("value_kind", "ops", [("values[0].layout", "cube")], "values[0].layout is 'cube'; allowed: unit table image atlas"),
     ("value_count", "ops", [("values[0].count", 130)], "values[0]: its image is 4 x 4; 4 x 33 is needed"),
     ("value_count_huge", "ops", [("values[0].count", 1 << 30)], "values[0]: its image is 4 x 4; 0 x 0 is needed"),
@@ -219,6 +221,7 @@ def files() -> dict[str, tuple[bytes, str]]:
     def shift(at, x):
         return good[:at] + x + good[at + len(x):]
 
+    half = (FOLDER / "half.dressi").read_bytes()
     several = (FOLDER / "variants.dressi").read_bytes()
     entries = bundle.loads(good).description["blobs"]
     moved = {**d, "blobs": [[entries[0][0] + 64, *entries[0][1:]], *entries[1:]]}
@@ -227,7 +230,9 @@ def files() -> dict[str, tuple[bytes, str]]:
         "empty": (b"", "0 bytes; a bundle has at least 56"),
         "magic": (shift(0, b"PNG"), "not a bundle: the file does not begin with DRESSI"),
         "line_ends": (shift(6, b"\n"), "not a bundle"),
-        "version": (shift(8, b"\3"), "format version 3; this reader knows 1 and 2"),
+        "version": (shift(8, b"\4"), "format version 4; this reader knows 1 to 3"),
+        "version_without_half": (shift(8, b"\3"), "format version 3; what the file holds is written as version 1"),
+        "version_with_half": (half[:8] + b"\1" + half[9:], "format version 1; what the file holds is written as version 3"),
         "version_of_several": (shift(8, b"\2"), "description lacks variants"),
         "version_of_one": (several[:8] + b"\1" + several[9:], "description lacks meta"),
         "reserved": (shift(12, b"\1"), "reserved field is 1; 0 is allowed"),
@@ -264,6 +269,7 @@ def files() -> dict[str, tuple[bytes, str]]:
 def spoiled(base: str, changes) -> bytes:
     """The file with these changes."""
     d, blobs = vector(base)
+    version = bundle.version_of(d.get("variants", [d]))
     for path, value in changes:
         change(d, path, value)
-    return bundle.dumps(d, blobs)
+    return bundle.dumps(d, blobs, version)

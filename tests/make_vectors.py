@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from dressi_edge import runtime
-from dressi_edge.cache.bundle import combine, dumps
+from dressi_edge.cache.bundle import combine, dumps, version_of
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe
-from dressi_edge.compiler.functions import apply, dot, lookup, mean, to_float, total
+from dressi_edge.compiler.autodiff import gradients
+from dressi_edge.compiler.functions import apply, constant_table, dot, lookup, mean, to_float, total
 from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
 from dressi_edge.compiler.render.texture import sample_texture
 from dressi_edge.compiler.topology import Topology
@@ -120,10 +121,25 @@ def subpasses():
     return p, [("get", "y"), ("set", "x19", np.arange(30, dtype=np.float32).reshape(3, 5, 2)), ("get", "y")]
 
 
+def half():
+    """A target, and gradients on their way from pixels to the entries they name, in 16 bits a channel: numbers between those of
+    fp16, and below its normal ones."""
+    p, layout, table = Program(), image("vec3", 7, 5), Layout("table", "vec3", count=6)
+    entries, index = p.input("entries", table, 0.25), p.input("index", image("int", 7, 5))
+    target = p.input("target", layout, np.arange(105).reshape(5, 7, 3) / 99, narrow=True)
+    d = lookup(entries, index, constant_table(np.tile([0, 0, 7, 5], (6, 1)))) - target
+    g, = gradients(mean(dot(d, d)), [entries])
+    p.plan("compare", {}, {"difference": (d, layout), "gradient": (g, table)})
+    data = np.random.default_rng(3).normal(size=(5, 7, 3)) * 10.0 ** np.linspace(-8, 1, 105).reshape(5, 7, 3)
+    seen = [("get", name) for name in ("target", "difference", "gradient")]
+    return p, [("set", "index", (np.arange(35).reshape(5, 7) % 8 - 1).astype(np.int32)), *seen,
+               ("set", "target", data.astype(np.float32)), *seen]
+
+
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
 TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "lists": 1e-4,
-             "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, variants, subpasses)}
+             "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, variants, subpasses, half)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 
 
@@ -131,8 +147,9 @@ def compiled(name: str) -> tuple[bytes, list]:
     """The bundle's bytes, and what to do with it."""
     program, steps = VECTORS[name]()
     made = [(description, assembler.blobs) for description, assembler in (
-        describe(program, Profile.load(profile)) for profile in PROFILES.get(name, (PROFILE,)))]
-    return dumps(*(combine(made) if len(made) > 1 else made[0])), steps
+        describe(program, Profile.load(profile), storage="half" if name == "half" else "float")
+        for profile in PROFILES.get(name, (PROFILE,)))]
+    return dumps(*(combine(made) if len(made) > 1 else made[0]), version_of([description for description, _ in made])), steps
 
 
 def same_compiler() -> bool:

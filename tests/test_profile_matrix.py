@@ -93,6 +93,17 @@ def test_every_profile_comes_to_the_same_answer(gpu, native, scene, profile, lay
     np.testing.assert_allclose(image, expected_image, rtol=0, atol=1e-3)
 
 
+@pytest.mark.parametrize("scene, profile, layers", CASES)
+def test_storage_half_comes_to_the_same_answer_on_every_profile(gpu, native, scene, profile, layers):
+    (before, expected), expected_image = native(scene, layers)
+    with runtime.load(gpu.compile(problem(scene, layers), profile, storage="half"), gpu.device, emulate=profile) as session:
+        (first, last), image = fitted(session)
+    gpu.silent()
+    assert first == pytest.approx(before, rel=0.01)
+    assert last == pytest.approx(expected, rel=0.02)
+    assert np.abs(image - expected_image).mean() < 0.005
+
+
 # ---- the reactive cache
 
 

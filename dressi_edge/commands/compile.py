@@ -15,7 +15,7 @@ def compile_job(args) -> None:
     profiles = [Profile.load(name) for name in args.profile]
     from ..compiler.job import load_job
     start = time.perf_counter()
-    description = load_job(args.job).compile(profiles, args.output)
+    description = load_job(args.job).compile(profiles, args.output, storage=args.storage)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
     plans = {d["profile"]["name"]: summary(d) for d in variants}

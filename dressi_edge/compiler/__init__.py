@@ -1,6 +1,6 @@
 """Offline: from a problem to a bundle for one device profile.
 
-    graph -> differentiate -> simplify -> specialize (what is clean) -> pack -> plan -> GLSL -> SPIR-V -> bundle
+    graph -> differentiate -> store in half -> simplify -> specialize (what is clean) -> pack -> plan -> GLSL -> SPIR-V -> bundle
 """
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ from .inspect import count_functions, trace
 from .needs import needs
 from .plan import Assembler
 from .program import Program
+from .storage import choose, halve
 
 __all__ = ["Program", "compile_program", "describe"]
 
 
-def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True,
-             stage_packing: bool = True) -> tuple[dict, Assembler]:
+def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True, stage_packing: bool = True,
+             storage: str | None = None) -> tuple[dict, Assembler]:
     """The bundle's description without blobs, and the assembler that holds them and the stages."""
+    if choose(storage, [profile]):
+        program = halve(program)
     assembler = Assembler(program, profile, naive, cache, stage_packing)
     description = assembler.assemble()
     description["meta"] = {**program.meta, "functions": count_functions(assembler)}
@@ -34,10 +37,12 @@ def describe(program: Program, profile: Profile, *, naive: bool = False, cache: 
 
 
 def compile_program(program: Program, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, *,
-                    naive: bool = False, cache: bool = True, stage_packing: bool = True) -> dict:
+                    naive: bool = False, cache: bool = True, stage_packing: bool = True, storage: str | None = None) -> dict:
     """Compile for a profile (or its name) and write the bundle; its description. For a list of profiles, best first, one bundle
     with a variant for each: {"variants": [description]}. `naive`: one function a pass; `cache=False`: no reactive cache;
-    `stage_packing=False`: one substage a pass. Raises GraphError, PackError, ProfileError, BundleError."""
+    `stage_packing=False`: one substage a pass. `storage`: "half" stores targets and gradients of pixels in 16 bits a channel
+    (docs/numerics.md), "float" does not; by default half if all profiles prefer it. Raises GraphError, PackError, ProfileError,
+    BundleError, InputError."""
     chosen = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
     profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in chosen]
     names = [p.name for p in profiles]
@@ -45,9 +50,10 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
         raise ProfileError(f"{len(names)} profiles; a bundle is compiled for 1 to {_MAX_VARIANTS}")
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         raise ProfileError(f"profile {twice[0]} is given twice; each variant of a bundle needs one of another name")
+    storage = "half" if choose(storage, profiles) else "float"
     made = []
     for p in profiles:
-        description, assembler = describe(program, p, naive=naive, cache=cache, stage_packing=stage_packing)
+        description, assembler = describe(program, p, naive=naive, cache=cache, stage_packing=stage_packing, storage=storage)
         trace(description, assembler, p.name if len(profiles) > 1 else "")
         made.append((description, assembler.blobs))
     description, blobs = made[0] if len(made) == 1 else _bundle.combine(made)

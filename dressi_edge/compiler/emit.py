@@ -18,6 +18,7 @@ from .pack import Substage
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
            "int": "R32_SINT", "ivec2": "R32G32_SINT", "ivec3": "R32G32B32A32_SINT", "ivec4": "R32G32B32A32_SINT"}
+HALF_FORMATS = {"float": "R16_SFLOAT", "vec2": "R16G16_SFLOAT", "vec3": "R16G16B16A16_SFLOAT", "vec4": "R16G16B16A16_SFLOAT"}
 SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
 
 _HEAD = "#version 450\n#extension GL_EXT_samplerless_texture_functions : require\n"
@@ -69,9 +70,19 @@ def _channels(node: Node) -> str:
     return {1: ".x", 2: ".xy", 3: ".xyz", 4: ""}[node.channels]
 
 
+def format_of(node: Node) -> str:
+    """The format of its image."""
+    return (FORMATS if node.half is None else HALF_FORMATS)[node.vtype]
+
+
+def _scale(node: Node, sign: int) -> str:
+    """What turns the numbers in its image into values (sign -1), or back (1)."""
+    return f" * {literal_glsl(2.0 ** (sign * node.half))}" if node.half else ""
+
+
 def hardware_filter(node: Node, profile: Profile) -> bool:
     """Whether the profile promises linear filtering of this image's format."""
-    return profile.format_has(FORMATS[node.vtype], "filter")
+    return profile.format_has(format_of(node), "filter")
 
 
 class _Emitter:
@@ -108,10 +119,10 @@ class _Emitter:
                 continue
             if b.kind == SAMPLER:
                 lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}sampler2D t{k};")
-                lines.append(f"#define F{k}(uv) texture(t{k}, uv){_channels(b.node)}")
+                lines.append(f"#define F{k}(uv) (texture(t{k}, uv){_channels(b.node)}{_scale(b.node, -1)})")
                 continue
             lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}texture2D t{k};")
-            lines.append(f"#define T{k}(c) texelFetch(t{k}, c, 0){_channels(b.node)}")
+            lines.append(f"#define T{k}(c) (texelFetch(t{k}, c, 0){_channels(b.node)}{_scale(b.node, -1)})")
             lines.append(f"#define E{k}(i) {self._entry(k, b.node.extent)}")
         return lines
 
@@ -160,7 +171,7 @@ class _Emitter:
         for slot in self.own:
             x = self.bindings[slot].node
             if self.bindings[slot].kind == ATTACHMENT:
-                lines.append(f"{x.vtype} u{slot} = subpassLoad(t{slot}){_channels(x)};")
+                lines.append(f"{x.vtype} u{slot} = subpassLoad(t{slot}){_channels(x)}{_scale(x, -1)};")
                 continue
             at = "ivec2(0)" if x.extent == UNIT and self.stage.extent != UNIT else "pixel"
             lines.append(f"{x.vtype} u{slot} = T{slot}({at});")
@@ -215,8 +226,9 @@ class _Emitter:
     def fragment(self, body: list[str], varyings: list[str]) -> str:
         outs = [f"layout(location = {k}) out {'ivec4' if n.channels == 3 and is_int(n.vtype) else 'vec4' if n.channels == 3 else n.vtype}"
                 f" o{k};" for k, n in enumerate(self.stage.outputs)]
-        stores = [f"o{k} = " + (f"{'ivec4' if is_int(n.vtype) else 'vec4'}({self.values[n]}, 0);" if n.channels == 3 else
-                                f"{self.values[n]};") for k, n in enumerate(self.stage.outputs)]
+        values = [self.values[n] + _scale(n, 1) for n in self.stage.outputs]
+        stores = [f"o{k} = " + (f"{'ivec4' if is_int(n.vtype) else 'vec4'}({value}, 0);" if n.channels == 3 else f"{value};")
+                  for k, (n, value) in enumerate(zip(self.stage.outputs, values))]
         return "\n".join([_HEAD + "\n".join(self.declarations(False)), *varyings, *outs, *self.functions(), "void main() {",
                           "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
 

@@ -90,6 +90,11 @@ class Node:
         return CHANNELS[self.vtype]
 
     @property
+    def half(self) -> int | None:
+        """Where its image has 16 bits a channel, the power of two by which the numbers in it are larger; None: 32 bits."""
+        return self.attrs.get("half")
+
+    @property
     def name(self) -> str:
         """The user's name of a leaf, or the op with a serial number."""
         return self.attrs.get("name") or f"{self.op.name}{self.serial}"

@@ -13,7 +13,8 @@ a raster op's `Draw.count`.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from ..cache.errors import GraphError
@@ -68,6 +69,8 @@ class Op:
     absorbs: tuple[int, ...] = ()  # inputs that, when zero, make the result zero
     absorbs_negative: tuple[int, ...] = ()  # inputs that, when negative, make the result zero
     absent: tuple[tuple[int, int], ...] = ()  # (input, result): what the result is where that input is zero
+    sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/storage.py)
+    size: Callable | None = None  # (node, sizes of its inputs) -> log2 of its usual magnitude; None: that of the largest float
     sample: Callable | None = field(default=None, compare=False)
     doc: str = ""
 
@@ -125,6 +128,26 @@ def typed(vtype: str) -> Callable:
 def at(*positions: int, vtype: str | None = None) -> Callable:
     """Inference: the extent of the inputs at these positions; the type given, or that of input 0."""
     return lambda name, inputs, attrs: (vtype or inputs[0].vtype, common_extent(name, tuple(inputs[k] for k in positions)))
+
+
+# Sizes (`Op.size`) of results: of products and quotients, of choices, of which a literal is the guard and not the rule, of what is
+# of order 1 whatever it is made of.
+
+def product(node: Node, sizes: Sequence[float]) -> float:
+    return sizes[0] + sizes[-1]
+
+
+def quotient(node: Node, sizes: Sequence[float]) -> float:
+    return sizes[0] - (sizes[1] if math.isfinite(sizes[1]) else 0.0)
+
+
+def chosen(node: Node, sizes: Sequence[float]) -> float:
+    options = list(zip(node.inputs, sizes))[-2:]
+    return max([size for x, size in options if x.op.name != "literal"] or [size for _, size in options])
+
+
+def unit(node: Node, sizes: Sequence[float]) -> float:
+    return 0.0
 
 
 def as_node(x) -> Node:

@@ -46,6 +46,11 @@ class Stage:
     substages: tuple[Substage, ...]
 
 
+def format_bits(node: Node) -> int:
+    """Bits of a texel of its image."""
+    return FORMAT_BITS[node.vtype] // (1 if node.half is None else 2)
+
+
 def _inline(node: Node) -> bool:
     return node.op.stage == "inline"
 
@@ -228,7 +233,7 @@ def _excess(profile: Profile, extent: Extent, outputs: Sequence[Node], images: i
     }
     lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
              for name, found in counts.items() if found > profile.limit(name)]
-    bits = sum(FORMAT_BITS[n.vtype] for n in outputs)
+    bits = sum(map(format_bits, outputs))
     if profile.tile_bits and bits > profile.tile_bits and len(outputs) > 1:
         lines.append(f"needs {bits} tile colour bits a pixel; profile {profile.name} allows {profile.tile_bits}")
     return lines
@@ -386,7 +391,7 @@ def _joins(stage: Sequence[Substage], s: Substage, profile: Profile) -> bool:
     attachments = [n for part in (*stage, s) for n in part.outputs]
     if profile.max_merged_attachments is not None and len(attachments) > profile.max_merged_attachments:
         return False
-    return profile.tile_bits is None or sum(FORMAT_BITS[n.vtype] for n in attachments) <= profile.tile_bits
+    return profile.tile_bits is None or sum(map(format_bits, attachments)) <= profile.tile_bits
 
 
 def pack_stages(substages: Sequence[Substage], profile: Profile) -> list[Stage]:

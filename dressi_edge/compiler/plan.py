@@ -22,13 +22,13 @@ from .simplify import lower, simplify
 from .specialize import prepare, specialize
 
 
-def format_number(vtype: str) -> int:
-    return v.FORMATS[emit.FORMATS[vtype]]
+def format_number(node: Node) -> int:
+    return v.FORMATS[emit.format_of(node)]
 
 
-def texels(array: np.ndarray, vtype: str) -> bytes:
+def texels(array: np.ndarray, vtype: str, half: bool = False) -> bytes:
     """(height, width, channels) as the bytes of its image format."""
-    array = np.asarray(array, np.int32 if is_int(vtype) else np.float32)
+    array = np.asarray(array, np.int32 if is_int(vtype) else np.float16 if half else np.float32)
     if CHANNELS[vtype] == 3:
         array = np.concatenate([array, np.zeros_like(array[..., :1])], 2)
     return array.astype(array.dtype.newbyteorder("<")).tobytes()
@@ -77,7 +77,7 @@ class Assembler:
                 data = self.blob(texels(node.attrs["data"].array, node.vtype))
             role = node.op.name
             slots = 2 if role == "state" and node.attrs["name"] in self.updated else 1
-            self.leaves[node] = self.new_image(format_number(node.vtype), node.extent.width, node.extent.height, slots, data)
+            self.leaves[node] = self.new_image(format_number(node), node.extent.width, node.extent.height, slots, data)
             if role in ("input", "state"):
                 self.images[self.leaves[node]]["usage"] |= v.USAGE_TRANSFER_DST | v.USAGE_TRANSFER_SRC
             if role == "constant":
@@ -97,7 +97,9 @@ class Assembler:
             role = self.program.roles[name]
             image = self.outputs[name] if role == "output" else self.leaf(value.node)
             layout: Layout = value.layout
-            initial = None if value.initial is None else self.blob(texels(layout.to_image(value.initial, name), layout.vtype))
+            half = value.node.half is not None
+            initial = None if value.initial is None else self.blob(
+                texels(layout.to_image(value.initial, name, half), layout.vtype, half))
             values.append({"name": name, "role": role, "image": image, "type": layout.vtype, "layout": layout.kind,
                            "width": layout.width, "height": layout.height, "count": layout.count, "columns": layout.columns,
                            "initial": initial})
@@ -134,7 +136,7 @@ class Assembler:
         names = [*spec.updates, *spec.outputs]
         targets, distinct, seen = [], [], set()
         for name, root in zip(names, roots):
-            if root.op.stage in ("leaf", "inline") or root in seen:
+            if root.op.stage in ("leaf", "inline") or root.half is not None or root in seen:
                 layout = self.program.values[name].layout
                 root = apply("copy", root if root.extent == extent_of(layout) else apply("broadcast", root, extent=extent_of(layout)))
             while root in seen:
@@ -146,7 +148,7 @@ class Assembler:
             else:
                 if name not in self.outputs:
                     layout = self.program.values[name].layout
-                    self.outputs[name] = self.new_image(format_number(layout.vtype), *layout.size)
+                    self.outputs[name] = self.new_image(v.FORMATS[emit.FORMATS[layout.vtype]], *layout.size)
                     self.images[self.outputs[name]]["usage"] |= v.USAGE_TRANSFER_SRC
                 targets.append((self.outputs[name], 0))
         self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs)
@@ -173,14 +175,14 @@ class Assembler:
             for s in stage.substages:
                 for n in [*dict(s.reads), *s.outputs]:
                     if n in place and n not in roots and n.op.stage != "leaf" and last_read.get(n, k) == k:
-                        key = (format_number(n.vtype), n.extent.width, n.extent.height)
+                        key = (format_number(n), n.extent.width, n.extent.height)
                         if place[n][0] not in self.free.setdefault(key, []):
                             self.free[key].append(place[n][0])
         self.plans.append({"name": name, "stages": records, "updates": updates, "reads": list(reads), "outputs": outputs,
                            "needs": list(needs), "steps": steps})
 
     def _take(self, n: Node) -> int:
-        key = (format_number(n.vtype), n.extent.width, n.extent.height)
+        key = (format_number(n), n.extent.width, n.extent.height)
         return self.free[key].pop() if self.free.get(key) else self.new_image(*key)
 
     def _ref(self, node: Node, place: dict) -> int:
@@ -199,7 +201,7 @@ class Assembler:
             for n, clear in zip(s.outputs, clears):
                 ref = self._ref(n, place)
                 self.images[ref // 2]["usage"] |= v.USAGE_COLOR
-                attachments[ref] = {"format": format_number(n.vtype), "load": v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
+                attachments[ref] = {"format": format_number(n), "load": v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
                                     "store": v.STORE_STORE, "clear": clear or 0}
                 colors.append(list(attachments).index(ref))
             draws, bindings = emit.emit(s, self.profile, guard, inner)

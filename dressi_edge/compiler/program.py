@@ -23,11 +23,13 @@ def extent_of(layout: Layout) -> Extent:
 
 @dataclass(frozen=True)
 class Value:
-    """An input, a state or an output: its node, layout, and for inputs and states the array it starts with (or None)."""
+    """An input, a state or an output: its node, layout, and for inputs and states the array it starts with (or None). `narrow`: an
+    input that may be stored in 16 bits a channel, for nothing but images is compared with it."""
 
     node: Node
     layout: Layout
     initial: np.ndarray | None = None
+    narrow: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,20 +55,20 @@ class Program:
     plans: list[PlanSpec] = field(default_factory=list)
     meta: dict = field(default_factory=dict)
 
-    def _leaf(self, role: str, name: str, layout: Layout, initial) -> Node:
+    def _leaf(self, role: str, name: str, layout: Layout, initial, narrow: bool = False) -> Node:
         if name in self.values:
             raise GraphError(f"{role} {name}: the name is taken by {self.roles[name]} {self.values[name].node!r}")
         node = apply(role, name=name, vtype=layout.vtype, extent=extent_of(layout))
         start = None if initial is None else np.broadcast_to(np.asarray(initial), layout.shape) if np.ndim(initial) == 0 else initial
         if start is not None:
             layout.to_image(start, name)
-        self.values[name] = Value(node, layout, start)
+        self.values[name] = Value(node, layout, start, narrow)
         self.roles[name] = role
         return node
 
-    def input(self, name: str, layout: Layout, default=None) -> Node:
-        """An image the session sets; with a default it need not."""
-        return self._leaf("input", name, layout, default)
+    def input(self, name: str, layout: Layout, default=None, narrow: bool = False) -> Node:
+        """An image the session sets; with a default it need not. `narrow`: storage half applies to it."""
+        return self._leaf("input", name, layout, default, narrow)
 
     def state(self, name: str, layout: Layout, initial=0) -> Node:
         """An image that lives on the device and that plans update."""

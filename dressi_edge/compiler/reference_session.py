@@ -33,8 +33,8 @@ class ReferenceSession:
         self.phases = [spec.name for spec in program.plans if spec.updates]
         self.phase = self.phases[0] if self.phases else None
         self._runs = dict.fromkeys(self.specs, 0)
-        self._feed = {name: value.layout.to_image(value.initial, name) for name, value in program.values.items()
-                      if value.initial is not None}
+        self._feed = {name: value.layout.to_image(value.initial, name, value.node.half is not None)
+                      for name, value in program.values.items() if value.initial is not None}
 
     def __enter__(self) -> ReferenceSession:
         return self
@@ -56,7 +56,8 @@ class ReferenceSession:
 
     def set(self, name: str, array) -> None:
         self._known(name, ("input", "state"))
-        self._feed[name] = self.program.values[name].layout.to_image(array, name)
+        value = self.program.values[name]
+        self._feed[name] = value.layout.to_image(array, name, value.node.half is not None)
 
     def get(self, name: str) -> np.ndarray:
         self._known(name, ("input", "state", "output"))

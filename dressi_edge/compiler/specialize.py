@@ -62,7 +62,8 @@ def _cut(roots: Sequence[Node], dirty: set[Node], prefix: str, cached: dict[Node
         if n.op.stage in ("leaf", "inline") or cost[n] <= KEEP_COST or new[n].op.name == "cached":
             return new[n]
         if n not in cached:
-            cached[n] = apply("cached", name=f"{prefix}.cached{len(cached)}", vtype=n.vtype, extent=n.extent)
+            stored = {} if n.half is None else {"half": n.half}
+            cached[n] = apply("cached", name=f"{prefix}.cached{len(cached)}", vtype=n.vtype, extent=n.extent, **stored)
         new[n] = cached[n]
         return new[n]
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from ...cache.errors import GraphError
 from ..ir import is_int, vector_type
-from ..optable import apply, common_extent, elementwise, op
+from ..optable import apply, chosen, common_extent, elementwise, op, product, quotient, unit
 
 
 def select(c, a, b):
@@ -19,18 +19,19 @@ def _float(node):
 
 op("add", "a b", infer=elementwise, ref=np.add, glsl="{y} = {a} + {b};", vjp=lambda g, y, a, b: (g, g))
 op("sub", "a b", infer=elementwise, ref=np.subtract, glsl="{y} = {a} - {b};", vjp=lambda g, y, a, b: (g, -g))
-op("mul", "a b", absorbs=(0, 1), infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};", vjp=lambda g, y, a, b: (g * b, g * a))
-op("div", "a b", absorbs=(0,), infer=elementwise, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4,
+op("mul", "a b", absorbs=(0, 1), size=product, infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};",
+   vjp=lambda g, y, a, b: (g * b, g * a))
+op("div", "a b", absorbs=(0,), infer=elementwise, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4, size=quotient,
    vjp=lambda g, y, a, b: (g / b, -(g * y / b)),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.uniform(0.5, 2, (4, 5, 1))], {}))
 op("neg", "a", infer=elementwise, ref=np.negative, glsl="{y} = -{a};", vjp=lambda g, y, a: (-g,))
 op("abs", "a", infer=elementwise, ref=np.abs, glsl="{y} = abs({a});", vjp=lambda g, y, a: (g * apply("sign", a),))
-op("sign", "a", infer=elementwise, ref=np.sign, glsl="{y} = sign({a});", doc="-1, 0 or 1; no gradient.")
+op("sign", "a", infer=elementwise, size=unit, ref=np.sign, glsl="{y} = sign({a});", doc="-1, 0 or 1; no gradient.")
 op("floor", "a", infer=elementwise, ref=np.floor, glsl="{y} = floor({a});", doc="No gradient: cut with stop_gradient.")
 op("fract", "a", infer=elementwise, ref=lambda a: a - np.floor(a), glsl="{y} = fract({a});", vjp=lambda g, y, a: (g,))
-op("min", "a b", infer=elementwise, ref=np.minimum, glsl="{y} = min({type}({a}), {type}({b}));",
+op("min", "a b", infer=elementwise, size=chosen, ref=np.minimum, glsl="{y} = min({type}({a}), {type}({b}));",
    vjp=lambda g, y, a, b: (select(a <= b, g, 0.0), select(a <= b, 0.0, g)), doc="A tie gives its gradient to `a`.")
-op("max", "a b", infer=elementwise, ref=np.maximum, glsl="{y} = max({type}({a}), {type}({b}));",
+op("max", "a b", infer=elementwise, size=chosen, ref=np.maximum, glsl="{y} = max({type}({a}), {type}({b}));",
    vjp=lambda g, y, a, b: (select(a >= b, g, 0.0), select(a >= b, 0.0, g)), doc="A tie gives its gradient to `a`.")
 op("stop_gradient", "a", infer=elementwise, ref=lambda a: a, glsl="{y} = {a};", cost=0, vjp=lambda g, y, a: (None,),
    doc="The value; no gradient flows through.")
@@ -104,7 +105,7 @@ def _select_glsl(node):
     return f"{{y}} = mix({{type}}({{b}}), {{type}}({{a}}), notEqual({{c}}, {zero}(0)));"
 
 
-op("select", "c a b", infer=_select_infer, ref=lambda c, a, b: np.where(c != 0, a, b), glsl=_select_glsl,
+op("select", "c a b", infer=_select_infer, size=chosen, ref=lambda c, a, b: np.where(c != 0, a, b), glsl=_select_glsl,
    vjp=lambda g, y, c, a, b: (None, select(c, g, 0.0), select(c, 0.0, g)),
    sample=lambda rng: ([rng.integers(0, 2, (4, 5, 1)), rng.normal(size=(4, 5, 3)), rng.normal(size=(1, 1, 1))], {}),
    doc="The branch not taken gets a zero gradient; both branches must be finite.")
@@ -114,24 +115,25 @@ def _positive(rng):
     return [rng.uniform(0.3, 3, (4, 5, 3))], {}
 
 
-op("exp", "a", infer=elementwise, ref=np.exp, glsl="{y} = exp({a});", vjp=lambda g, y, a: (g * y,), cost=8)
-op("log", "a", infer=elementwise, ref=np.log, glsl="{y} = log({a});", vjp=lambda g, y, a: (g / a,), cost=8, sample=_positive,
+op("exp", "a", infer=elementwise, size=unit, ref=np.exp, glsl="{y} = exp({a});", vjp=lambda g, y, a: (g * y,), cost=8)
+op("log", "a", infer=elementwise, size=unit, ref=np.log, glsl="{y} = log({a});", vjp=lambda g, y, a: (g / a,), cost=8, sample=_positive,
    doc="Of positive values.")
 op("sqrt", "a", infer=elementwise, ref=lambda a: np.sqrt(np.maximum(a, 0.0)), glsl="{y} = sqrt(max({a}, {type}(0.0)));", cost=4,
+   size=lambda node, sizes: sizes[0] / 2,
    vjp=lambda g, y, a: (select(a > 1e-30, g * 0.5 / apply("max", y, 1e-15), 0.0),), sample=_positive,
    doc="0 below zero; the gradient at 0 is 0.")
-op("sin", "a", infer=elementwise, ref=np.sin, glsl="{y} = sin({a});", vjp=lambda g, y, a: (g * apply("cos", a),), cost=12)
-op("cos", "a", infer=elementwise, ref=np.cos, glsl="{y} = cos({a});", vjp=lambda g, y, a: (-(g * apply("sin", a)),), cost=12)
-op("atan2", "a b", infer=elementwise, ref=np.arctan2, glsl="{y} = atan({type}({a}), {type}({b}));", cost=16,
+op("sin", "a", infer=elementwise, size=unit, ref=np.sin, glsl="{y} = sin({a});", vjp=lambda g, y, a: (g * apply("cos", a),), cost=12)
+op("cos", "a", infer=elementwise, size=unit, ref=np.cos, glsl="{y} = cos({a});", vjp=lambda g, y, a: (-(g * apply("sin", a)),), cost=12)
+op("atan2", "a b", infer=elementwise, size=unit, ref=np.arctan2, glsl="{y} = atan({type}({a}), {type}({b}));", cost=16,
    vjp=lambda g, y, a, b: (g * b / apply("max", a * a + b * b, 1e-30), -(g * a / apply("max", a * a + b * b, 1e-30))),
    sample=lambda rng: ([rng.uniform(0.3, 1, (4, 5, 2)), rng.uniform(-1, -0.3, (4, 5, 2))], {}))
-op("pow", "a b", infer=elementwise, ref=lambda a, b: np.power(np.maximum(a, 1e-30), b), cost=16,
+op("pow", "a b", infer=elementwise, size=unit, ref=lambda a, b: np.power(np.maximum(a, 1e-30), b), cost=16,
    glsl="{y} = pow(max({type}({a}), {type}(1e-30)), {type}({b}));",
    vjp=lambda g, y, a, b: (select(a > 1e-30, g * b * apply("pow", a, b - 1.0), 0.0),
                            g * y * apply("log", apply("max", a, 1e-30))),
    sample=lambda rng: ([rng.uniform(0.3, 3, (4, 5, 3)), rng.uniform(-1, 2, (1, 1, 1))], {}),
    doc="Of non-negative bases; 0 counts as 1e-30 and its base gradient is 0.")
-op("sigmoid", "a", infer=elementwise, ref=lambda a: np.where(a >= 0, 1, np.exp(-np.abs(a))) / (1 + np.exp(-np.abs(a))), cost=12,
+op("sigmoid", "a", infer=elementwise, size=unit, ref=lambda a: np.where(a >= 0, 1, np.exp(-np.abs(a))) / (1 + np.exp(-np.abs(a))), cost=12,
    glsl=lambda node: "{ {type} e_ = exp(-abs({a})); {y} = " + (
        "({a} >= 0.0 ? 1.0 : e_)" if node.channels == 1 else "mix(e_, {type}(1.0), greaterThanEqual({a}, {type}(0.0)))")
    + " / (1.0 + e_); }",

@@ -1,6 +1,8 @@
 """Leaves: literals, constant tables, inputs, state, and what a texel knows of its own place."""
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ...cache.errors import GraphError
@@ -28,7 +30,14 @@ def literal_glsl(value: int | float | tuple) -> str:
     return str(value) if isinstance(value, int) else repr(float(np.float32(value)))
 
 
-op("literal", "", infer=_literal, stage="inline", cost=0, ref=lambda value: np.atleast_1d(np.array(value))[None, None],
+def _size(array) -> float:
+    """log2 of the largest magnitude; minus infinity for zero."""
+    largest = float(np.abs(array).max(initial=0))
+    return math.log2(largest) if largest else -math.inf
+
+
+op("literal", "", infer=_literal, stage="inline", cost=0, size=lambda node, sizes: _size(node.attrs["value"]),
+   ref=lambda value: np.atleast_1d(np.array(value))[None, None],
    glsl=lambda node: f"{{y}} = {literal_glsl(node.attrs['value'])};", doc="A number, or a tuple of them as a vector.")
 
 
@@ -41,7 +50,8 @@ def _constant(name, inputs, attrs):
     return attrs["vtype"], attrs["extent"]
 
 
-op("constant", "", infer=_constant, stage="leaf", ref=lambda data, **_: data.array,
+op("constant", "", infer=_constant, stage="leaf", size=lambda node, sizes: _size(node.attrs["data"].array),
+   ref=lambda data, **_: data.array,
    doc="Numbers known when the graph is built; they travel in the bundle.")
 op("input", "", infer=_leaf, stage="leaf", ref=None,
    doc="An image that the session sets by name.")
@@ -69,6 +79,7 @@ def _cell_index(extent, cell_w, cell_h):
 
 
 op("cell_position", "", infer=lambda name, inputs, attrs: ("vec2", attrs["extent"]), ref=_cell_position, cost=2,
+   size=lambda node, sizes: math.log2(max(node.attrs["cell_w"], node.attrs["cell_h"]) / 2),
    glsl="{y} = vec2({p} % ivec2({cell_w}, {cell_h})) + vec2(0.5 - 0.5 * float({cell_w}), 0.5 - 0.5 * float({cell_h}));",
    doc="Pixel centre relative to the centre of its view's cell of the atlas, in pixels.")
 op("cell_index", "", infer=lambda name, inputs, attrs: ("int", attrs["extent"]), ref=_cell_index, cost=2,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...cache.errors import GraphError
 from ..ir import UNIT, Data, Extent, Node, table, vector_type
-from ..optable import Loop, apply, at, op
+from ..optable import Loop, apply, at, op, product
 from .reduce import tiles_of
 
 BIN = 8  # pixels a side of an occupancy bin
@@ -131,7 +131,7 @@ _ROW = "for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) { int j_ = {cols_at}(k_);"
 op("gather_sum", "x rows cols", infer=at(1), reads="texel own texel", ref=_gather_ref, vjp=_gather_vjp, cost=30,
    loop=Loop(_ROW, "{y} += {x_at}(j_);"), sample=_gather_sample(False), doc="Constant sparse rows of ones times a table.")
 op("weighted_gather_sum", "x rows cols weights", infer=at(1), reads="texel own texel texel", ref=_gather_ref, vjp=_gather_vjp,
-   cost=30, loop=Loop(_ROW, "{y} += {weights_at}(k_) * {x_at}(j_);"), sample=_gather_sample(True),
+   cost=30, size=product, loop=Loop(_ROW, "{y} += {weights_at}(k_) * {x_at}(j_);"), sample=_gather_sample(True),
    doc="A constant sparse matrix times a table.")
 
 
@@ -229,7 +229,7 @@ _BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"
          f"ivec2 hi_ = {{occupied}}(ivec2(c_, d_)) != 0 ? min(ivec2(c_, d_) * {BIN} + {BIN}, {{box}}.zw) : lo_;\n"
          "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) { ivec2 q_ = ivec2(a_, b_); "
          "if ({index}(q_) == {i}) {")
-op("segment_sum", "values index box occupied", infer=at(2), reads="texel texel own texel", ref=_segment_ref, cost=400,
+op("segment_sum", "values index box occupied", sums=(0,), infer=at(2), reads="texel texel own texel", ref=_segment_ref, cost=400,
    vjp=lambda g, y, values, index, box, occupied: (apply("lookup", g, index), None, None, None),
    loop=Loop(_BINS, "{y} += {values}(q_);", "} } }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
@@ -265,13 +265,13 @@ def _near_ref(entries, index, *_, channel, reach):
 
 
 op("lookup_near", "entries index box segment center", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel texel",
-   ref=_near_ref, cost=8, glsl=LOOKUP.replace("{index}", "ivec4({index})[{channel}]"),
+   size=lambda node, sizes: sizes[0], ref=_near_ref, cost=8, glsl=LOOKUP.replace("{index}", "ivec4({index})[{channel}]"),
    vjp=lambda g, y, entries, index, box, segment, center, **attrs: (
        apply("capsule_sum", g, index, box, segment, center, **attrs), None, None, None, None),
    sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
    doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one that a channel of the "
        "index, int or ivec4, names: sums over several channels share one loop.")
-op("capsule_sum", "values index box segment center", infer=at(2), reads="texel texel own own own", cost=300,
+op("capsule_sum", "values index box segment center", sums=(0,), infer=at(2), reads="texel texel own own own", cost=300,
    ref=lambda values, index, box, *_, channel, reach: _segment_ref(values, index[..., channel:channel + 1], box),
    vjp=lambda g, y, values, index, *where, **attrs: (apply("lookup_near", g, index, *where, **attrs), None, None, None, None),
    loop=Loop(_CAPSULE, "if (named_[{channel}] == {i}) {y} += {values}(q_);", "} } }"),

@@ -1,6 +1,8 @@
 """Reductions and their transposes. `sum` is one op to the AD; `lower` turns it into passes of `block_sum`."""
 from __future__ import annotations
 
+from math import log2
+
 import numpy as np
 
 from ...cache.errors import GraphError
@@ -16,6 +18,7 @@ def _valid(extent_or_shape, count=None):
 
 
 op("sum", "a", infer=lambda name, inputs, attrs: (inputs[0].vtype, UNIT), stage="composite", reads="texel",
+   size=lambda node, sizes: sizes[0] + log2(node.inputs[0].extent.count),
    ref=lambda a, count=None: np.where(_valid(a.shape[:2], count), a, 0).sum((0, 1), keepdims=True),
    vjp=lambda g, y, a, count=None: (g,), doc="Sum over the texels of an image, padding left out; 1 x 1.")
 
@@ -43,6 +46,7 @@ def _block_ref(a, bw, bh, count):
 
 
 op("block_sum", "a", infer=_blocks, reads="texel", ref=_block_ref, cost=500,
+   size=lambda node, sizes: sizes[0] + log2(node.attrs["bw"] * node.attrs["bh"]),
    loop=Loop("for (int b_ = {p}.y * {bh}; b_ < min({p}.y * {bh} + {bh}, {a_h}); ++b_) "
              "for (int a_ = {p}.x * {bw}; a_ < min({p}.x * {bw} + {bw}, {a_w}); ++a_) "
              "if (b_ * {a_w} + a_ < {count}) {", "{y} += {a}(ivec2(a_, b_));"),

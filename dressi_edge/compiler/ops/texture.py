@@ -5,6 +5,8 @@ snippet is the hardware sampler, elsewhere four texel fetches of the same answer
 """
 from __future__ import annotations
 
+from math import log2
+
 import numpy as np
 
 from ...cache.errors import GraphError
@@ -89,6 +91,7 @@ op("sample", "texture uv", infer=_infer, reads="filtered own", ref=_sample_ref, 
    sample=lambda rng: _sample(rng, "repeat"),
    doc="Bilinear sample of a texture that is not optimized; the gradient flows to the coordinates.")
 op("sample_uv_gradient", "texture uv g", reads="texel own own", cost=45, ref=_grad_ref, glsl=_grad_glsl,
+   size=lambda node, sizes: sizes[0] + sizes[2] + log2(max(node.inputs[0].extent.width, node.inputs[0].extent.height)),
    infer=lambda name, inputs, attrs: ("vec2", common_extent(name, inputs[1:])),
    sample=lambda rng: ([*_sample(rng, "clamp")[0], rng.normal(size=(6, 5, 3))], {"wrap": "clamp"}),
    doc="Derivative of sample with respect to the coordinates, times g.")

@@ -260,7 +260,7 @@ def _gather_sample(rng):
     return [rng.normal(size=(6, 5, 3)), chain[3], chain[4]], {"across": 2, "down": 1}
 
 
-op("texture_gather", "g rows entries", infer=_gather_infer, reads="texel texel texel", ref=_gather_ref, cost=60,
+op("texture_gather", "g rows entries", sums=(0,), infer=_gather_infer, reads="texel texel texel", ref=_gather_ref, cost=60,
    sample=_gather_sample,
    loop=Loop("""{ ivec2 r_ = {rows}({p} / ivec2({across}, {down}));
     int c_ = (r_.y - r_.x + {across} * {down} - 1) / ({across} * {down});

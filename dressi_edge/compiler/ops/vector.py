@@ -5,7 +5,7 @@ import numpy as np
 
 from ...cache.errors import GraphError
 from ..ir import is_int, vector_type
-from ..optable import apply, common_extent, elementwise, op
+from ..optable import apply, common_extent, elementwise, op, product
 
 _AXIS = {"x": 0, "y": 1, "z": 2, "w": 3}
 
@@ -69,7 +69,8 @@ def _dot_infer(name, inputs, attrs):
     return "float", extent
 
 
-op("dot", "a b", absorbs=(0, 1), infer=_dot_infer, ref=lambda a, b: (a * b).sum(2, keepdims=True), glsl="{y} = dot({a}, {b});", cost=3,
+op("dot", "a b", absorbs=(0, 1), size=product, infer=_dot_infer, ref=lambda a, b: (a * b).sum(2, keepdims=True), cost=3,
+   glsl="{y} = dot({a}, {b});",
    vjp=lambda g, y, a, b: (g * b, g * a),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}))
 
@@ -80,7 +81,8 @@ def _cross_infer(name, inputs, attrs):
     return "vec3", common_extent(name, inputs)
 
 
-op("cross", "a b", absorbs=(0, 1), infer=_cross_infer, ref=lambda a, b: np.cross(a, b, axis=2), glsl="{y} = cross({a}, {b});", cost=5,
+op("cross", "a b", absorbs=(0, 1), size=product, infer=_cross_infer, ref=lambda a, b: np.cross(a, b, axis=2), cost=5,
+   glsl="{y} = cross({a}, {b});",
    vjp=lambda g, y, a, b: (apply("cross", b, g), apply("cross", g, a)),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}))
 

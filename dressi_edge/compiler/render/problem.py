@@ -136,7 +136,7 @@ class Problem:
         self.all_views = Atlas.of(self.width, self.height, n)
         targets = self.views.images if isinstance(self.views, Views) else None
         layout = Layout("atlas", "vec4", self.width, self.height, n, self.all_views.columns)
-        self.targets = p.input("targets", layout, targets)
+        self.targets = p.input("targets", layout, targets, narrow=True)
 
     # ---- graph
 
