@@ -6,6 +6,7 @@ against the derivative of true coverage.
 
 Part fp32: the corpus of tests/corpus.py x distance and K x r, random weights on every pixel that is further than 1/64 of a pixel from
 another discrete choice. Relative L2 error |g - g64| / |g64| and cosine, of the gradient by clip coordinates and by vertex colours.
+Part half: the same with storage half.
 Part coverage: geodesic spheres of radius 20 pixels at eight places within a pixel; the loss is the silhouette times a smooth image.
 The true derivative by scale and by translation is the integral over the outline of the projected mesh, which is convex.
 Part fields: closed meshes that hide parts of themselves (a ring, the pear, Spot where DIR/meshes/spot/spot.obj is, by default DIR is
@@ -52,21 +53,21 @@ class Bundles:
     def __init__(self, device, folder):
         self.device, self.folder, self.count = device, folder, 0
 
-    def open(self, program):
+    def open(self, program, storage="float"):
         self.count += 1
         path = Path(self.folder) / f"{self.count}.dressi"
-        compile_program(program, "lavapipe", path)
+        compile_program(program, "lavapipe", path, storage=storage)
         return runtime.load(path, self.device)
 
 
-def part_fp32(bundles, layers, radii):
+def part_fp32(bundles, layers, radii, storage="float"):
     groups, rows = {}, []
     for name, s in scenes().items():
         groups.setdefault((s.faces.tobytes(), len(s.clip), s.size, s.near), []).append(name)
     for how in [{"distance": "outline"}, *({"distance": "face", "layers": k} for k in layers)]:
         for r in radii:
             for names in groups.values():
-                rows += _group(bundles, names, Softness(float(r), **how))
+                rows += _group(bundles, names, Softness(float(r), **how), storage)
             print(f"fp32: {how}, r = {r}", file=sys.stderr, flush=True)
     return rows
 
@@ -78,13 +79,13 @@ def _margins(s, softness):
     return brute_force.select(clip, s.faces, s.size, softness.r, layers=softness.layers, near=s.near).margins
 
 
-def _group(bundles, names, softness):
+def _group(bundles, names, softness, storage):
     corpus, rows = scenes(), []
     first = corpus[names[0]]
     program = renderer(Topology(first.faces, len(first.clip)), first.size, softness, first.near)
     roots = {name: node for plan in program.plans for name, node in plan.outputs.items() if name in GRADIENTS}
     rng = np.random.default_rng(0)
-    with bundles.open(program) as session:
+    with bundles.open(program, storage) as session:
         for name in names:
             s = corpus[name]
             margins = _margins(s, softness)
@@ -299,15 +300,17 @@ def table(columns, rows):
 
 def tables(result):
     lines = []
-    if result.get("fp32"):
-        rows, cells = [x for x in result["fp32"] if x["error"] is not None], []
+    for part in ("fp32", "half"):
+        rows, cells = [x for x in result.get(part, ()) if x["error"] is not None], []
         for kind in sorted({(x["distance"], x["K"], x["r"]) for x in rows}, key=lambda k: (k[0] != "outline", *k[1:])):
             own = [x for x in rows if (x["distance"], x["K"], x["r"]) == kind]
             worst = max(own, key=lambda x: x["error"])
             cells.append([kind[0], f"{kind[1]}", f"{kind[2]:g}", f"{np.median([x['error'] for x in own]):.1e}", f"{worst['error']:.1e}",
                           f"{max(x['worst'] for x in own):.1e}", f"{min(x['cosine'] for x in own):.9f}",
                           f"{worst['scene']} {worst['of']}"])
-        lines += table(["distance", "K", "r", "median error", "worst error", "worst component", "least cosine", "worst scene"], cells)
+        if cells:
+            columns = ["distance", "K", "r", "median error", "worst error", "worst component", "least cosine", "worst scene"]
+            lines += [f"{part}:", "", *table(columns, cells)]
     if result.get("coverage"):
         lines += table(["edge, px", "distance", "K", "r", "sigma", "delta", "area", "scale: ratio", "spread", "move: ratio", "cosine",
                         "least cosine"],
@@ -327,7 +330,8 @@ def _setting(x):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--part", choices=("fp32", "coverage", "fields"), help="one part only; the others stay as they are in the file")
+    parser.add_argument("--part", choices=("fp32", "half", "coverage", "fields"),
+                        help="one part only; the others stay as they are in the file")
     parser.add_argument("--layers", type=int, nargs="+", default=[1, 3, 5])
     parser.add_argument("--radii", type=float, nargs="+", default=[1, 4, 16])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared", help="where Spot is")
@@ -340,7 +344,8 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         bundles = Bundles(device, folder)
         for part, run in (("coverage", lambda: part_coverage(bundles)), ("fields", lambda: part_fields(bundles, options.data)),
-                          ("fp32", lambda: part_fp32(bundles, options.layers, options.radii))):
+                          ("fp32", lambda: part_fp32(bundles, options.layers, options.radii)),
+                          ("half", lambda: part_fp32(bundles, options.layers, options.radii, "half"))):
             if options.part in (None, part):
                 result[part] = run()
                 options.out.write_text(json.dumps(result, indent=1) + "\n")

@@ -15,6 +15,7 @@ import error_vs_time
 import metrics
 import reconstruct
 import sphere_to_spot
+import storage
 import svg
 
 from dressi_edge.compiler.scene import icosphere
@@ -176,3 +177,11 @@ def test_distances_are_those_of_the_protocol(monkeypatch):
     expected = protocol.distances(moved, ours.faces, truth.positions, truth.faces)
     found = reconstruct.metrics.Surface(truth.positions, truth.faces).measure(moved, ours.faces)
     np.testing.assert_allclose(found[:2], expected, rtol=1e-3)
+
+
+def test_storage_half_moves_less_for_an_error_that_rounding_explains(tmp_path):
+    storage.main(["--quick", "--only", "silhouette", "--json", str(tmp_path / "out.json")])
+    full, half = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert (full["storage"], half["storage"]) == ("float", "half") and full["gradient"] == 0.0
+    assert half["MB"] < full["MB"] and half["bytes"] == full["bytes"] - 8.0
+    assert 1e-6 < half["gradient"] < 1e-3
