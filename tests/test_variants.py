@@ -14,6 +14,7 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.cli import main
 from dressi_edge.compiler import Program, compile_program
+from dressi_edge.compiler.needs import shadowed
 
 pytest_plugins = ["gpu"]
 
@@ -153,6 +154,18 @@ def test_variants_of_different_problems_are_refused():
 
 
 # ---- the command line
+
+
+def test_a_variant_that_one_before_it_stands_in_for_is_named(several, tmp_path):
+    assert shadowed([b.description for b in every(several)]) == {}
+    three = tmp_path / "y.dressi"
+    compile_program(variants()[0], ("limit8", "vulkan_min", "limit4"), three)
+    assert shadowed([b.description for b in every(three)]) == {"limit4": "vulkan_min"}
+
+
+def every(path):
+    first = bundle.read(path)
+    return [first, *first.after]
 
 
 def test_the_command_line_lists_checks_and_chooses(several, tmp_path, capsys):

@@ -14,6 +14,7 @@ def compile_job(args) -> None:
     check_folder(args.output)
     profiles = [Profile.load(name) for name in args.profile]
     from ..compiler.job import load_job
+    from ..compiler.needs import shadowed
     start = time.perf_counter()
     description = load_job(args.job).compile(profiles, args.output, storage=args.storage)
     seconds = time.perf_counter() - start
@@ -24,6 +25,8 @@ def compile_job(args) -> None:
         return
     phases = " ".join(f"{name} ({steps} steps)" for name, steps in variants[0]["meta"]["phases"])
     print(f"{args.output}: {os.path.getsize(args.output) / 1e6:.2f} MB, phases {phases}, made in {seconds:.1f} s")
+    for later, earlier in shadowed(variants).items():
+        print(f"note: {later} is never chosen for what a device has: {earlier} comes before it and needs no more")
     for d in variants:
         print(f"for profile {d['profile']['name']}, {len(d['pipelines'])} pipelines:")
         for name, row in plans[d["profile"]["name"]].items():

@@ -46,3 +46,17 @@ def needs(d: dict) -> dict:
             if k in filtered:
                 wanted.add("filter")
     return {"limits": dict(sorted(limits.items())), "formats": {name: sorted(f) for name, f in sorted(formats.items())}}
+
+
+def shadowed(descriptions: list[dict]) -> dict[str, str]:
+    """Of variants in order of preference, each (its profile's name) that no device takes for what it has, and the one before it that
+    is taken instead: a device with all that the later one needs has all that the earlier one needs."""
+    found: dict[str, str] = {}
+    for k, later in enumerate(descriptions):
+        for earlier in descriptions[:k]:
+            limits, formats = (earlier["needs"][key] for key in ("limits", "formats"))
+            if all(x <= later["needs"]["limits"].get(name, 0) for name, x in limits.items()) \
+                    and all(set(f) <= set(later["needs"]["formats"].get(name, ())) for name, f in formats.items()) \
+                    and set(later["depth_formats"]) <= set(earlier["depth_formats"]):
+                found.setdefault(later["profile"]["name"], earlier["profile"]["name"])
+    return found
