@@ -10,7 +10,8 @@ from dressi_edge import runtime
 from dressi_edge.cache import bundle
 from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.errors import DeviceError, ProfileError
-from dressi_edge.cache.profile import FORMATS, LIMITS, Profile, profile_names
+from dressi_edge.cache.limits import FORMATS, LIMITS
+from dressi_edge.cache.profile import Profile, profile_names
 from dressi_edge.compiler import compile_program
 from dressi_edge.runtime import vk
 from dressi_edge.runtime.emulate import EmulatedDevice, reported, rules

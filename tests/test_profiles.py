@@ -9,24 +9,20 @@ from pathlib import Path
 import pytest
 
 from dressi_edge.cache.errors import ProfileError
+from dressi_edge.cache.limits import FEATURES, FORMATS, LIMITS
 from dressi_edge.cache.profile import (
-    FEATURES,
-    FORMATS,
-    LIMITS,
-    MAX_FILE_BYTES,
     OUTSIDE_READ,
     STATUS,
     Profile,
     canonical,
-    check,
     folder,
     from_device,
-    from_khronos,
     merge,
     misfit,
     profile_names,
-    to_json,
 )
+from dressi_edge.cache.profile_check import check
+from dressi_edge.cache.profile_file import MAX_FILE_BYTES, from_khronos, to_json
 
 NAMES = profile_names()
 WANTED = set("""vulkan_min android_baseline_2021 android_baseline_2022 mali_g76 adreno_740 uhd620_windows apple_m1_moltenvk

@@ -16,7 +16,8 @@ from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.bundle_check import check_description
 from dressi_edge.cache.errors import BundleError
 from dressi_edge.cache.layout import Layout
-from dressi_edge.cache.profile import LIMITS, Profile, profile_names
+from dressi_edge.cache.limits import LIMITS
+from dressi_edge.cache.profile import Profile, profile_names
 from dressi_edge.cache.shader_check import check_shaders
 from dressi_edge.cache.spirv_interface import parse
 from dressi_edge.cache.verify import violations

@@ -4,7 +4,10 @@ from __future__ import annotations
 import sys
 
 from ..cache.errors import ProfileError
-from ..cache.profile import FORMATS, Profile, check, from_device, merge, profile_names, to_json
+from ..cache.limits import FORMAT_FEATURES, FORMATS
+from ..cache.profile import Profile, from_device, merge, profile_names
+from ..cache.profile_check import check
+from ..cache.profile_file import to_json
 from .files import check_folder, print_json, write_file
 
 
@@ -59,7 +62,6 @@ def capture(args) -> None:
 
 
 def _format_flags() -> tuple[str, ...]:
-    from ..cache.profile import FORMAT_FEATURES
     return tuple(FORMAT_FEATURES.values())
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 
-from ..cache.profile import FEATURES, FORMAT_FEATURES, FORMATS, LIMITS, Profile, from_device
+from ..cache.limits import FEATURES, FORMAT_FEATURES, FORMATS, LIMITS
+from ..cache.profile import Profile, from_device
 from . import vk
 from .device import Device
 
