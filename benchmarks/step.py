@@ -57,7 +57,7 @@ from dressi_edge.runtime.transfer import clear  # noqa: E402
 HARD = Softness(1.0, delta=0.0)
 WARM = 20  # steps before any is timed
 COPY_WIDTH = 1024
-GATHERS = ("occupied", "segment_sum", "block_sum", "gather_sum", "weighted_gather_sum", "texture_gather")
+GATHERS = ("occupied", "segment_sum", "block_sum", "gather_sum", "weighted_gather_sum", "texture_gather", "texture_gather_lanes")
 PEAK = """
 import sys
 import numpy
@@ -118,9 +118,10 @@ def rounded(x: float) -> float:
 class Case:
     """A problem compiled and opened, with what the yardsticks need."""
 
-    def __init__(self, problem: Problem, folder: Path, options: argparse.Namespace, phase: str = "fit"):
+    def __init__(self, problem: Problem, folder: Path, options: argparse.Namespace, phase: str = "fit", **how):
+        """`how`: what else `describe` takes."""
         self.path, self.faces, self.device_name = folder / "problem.dressi", len(problem.topology.faces), options.device
-        description, assembler = describe(problem.program, Profile.load(options.profile))
+        description, assembler = describe(problem.program, Profile.load(options.profile), **how)
         bundles.write(self.path, description, assembler.blobs)
         self.labels = [label(stage, problem) for stage in dict(assembler.stage_lists)[phase]]
         self.plan, self.session = phase, runtime.load(self.path, options.device)
@@ -147,7 +148,7 @@ class Case:
     def _recorded(self, stages: list[dict]):
         s = self.session
         plan = s._plans[self.plan]
-        recording = s._record(type(plan)({**plan.record, "stages": stages}, s.bundle.description),
+        recording = s._record(type(plan)({**plan.record, "stages": stages}, s.bundle.description, plan.kind),
                               {k: s._parity.get(k, 0) for k in plan.slots})
         self.closing.insert(0, recording)
 

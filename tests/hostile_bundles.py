@@ -74,7 +74,7 @@ ROWS = [
     ("image_height", "ops", [("images[0].height", 1 << 63)], "images[0].height is 9223372036854775808; an integer from 1"),
     ("image_float", "ops", [("images[0].width", 4.0)], "images[0].width is 4.0; an integer"),
     ("image_slots", "ops", [("images[0].slots", 3)], "images[0].slots is 3; an integer from 1 to 2"),
-    ("image_two_slots", "ops", [("images[0].slots", 2)], "images[0].slots is 2; only the image of a state has two"),
+    ("image_two_slots", "ops", [("images[0].slots", 2)], "images[0].slots is 2; only the image of a state or copy has two"),
     ("image_usage", "ops", [("images[0].usage", 8)], "images[0].usage is 8; bits of 151 are allowed"),
     ("depth_usage", "silhouette", [("images[4].usage", 36)], "images[4].usage is 36; bits of 32 are allowed"),
     ("image_data", "states", [("images[2].data", 99)], "images[2].data is 99; an integer from 0 to 11"),
@@ -133,7 +133,7 @@ ROWS = [
     # plans
     ("plan_name", "states", [("plans[3].name", "rest")], "plans[3].name 'rest' is taken"),
     ("plan_steps", "states", [("plans[1].steps", 1 << 41)], "plans[1].steps is 2199023255552; an integer from 0"),
-    ("plan_updates_input", "states", [("plans[1].updates[0]", 3)], "plans[1].updates[0] is input 'rate'; state is allowed"),
+    ("plan_updates_input", "states", [("plans[1].updates[0]", 3)], "plans[1].updates[0] is input 'rate'; state or copy is allowed"),
     ("plan_updates_twice", "states", [("plans[1].updates", [0, 2, 1, 0])], "plans[1].updates names something twice"),
     ("plan_updates_one_slot", "states", [("images[4].slots", 1)], "plans[1].updates[1]: the image of 'b' has one slot; two are needed"),
     ("plan_outputs_state", "states", [("plans[1].outputs[0]", 0)], "plans[1].outputs[0] is state 'a'; output is allowed"),
@@ -208,6 +208,22 @@ ROWS = [
     ("variants_initial", "variants", [("variants[1].values[1].initial", None)], "variants[1].values[1].initial is None; that of"),
     ("variants_fewer_plans", "variants", [("variants[1].plans[4]", DROP)], "variants[1].plans is a list of 4; variants[0] has 5"),
     ("variants_plan_name", "variants", [("variants[1].plans[0].name", "p")], "variants[1].plans[0].name is 'p'; that of variants[0]"),
+    # copies
+    ("copy_initial", "copies", [("values[7].initial", 0)], "values[7].initial: a copy has none"),
+    ("copy_set", "copies", [("values[7].role", "state")], "values[7]: its image lacks usage 3"),
+    ("copy_unfilled", "copies", [("plans[4].needs", [0])], "plans[4] has to do with copy 'fit.list.texels', and needs no plan that"),
+    ("copy_alone", "copies", [("plans[3].updates", [7, 3])], "plans[3] updates 1 of the 2 copies that plans[1] fills; all or none"),
+    ("enter_more", "copies", [("plans[1].updates", [7, 8, 3])], "plans[2]: after the enter plans[1] a plan is needed that updates states"),
+    ("enter_last", "copies", [(f"plans[{k}]", DROP) for k in (5, 4, 3, 2)], "plans[1] fills copies; it updates nothing else, and the plan"),
+    ("enter_of_a_phase", "copies", [("plans[3].needs", [0])], "plans[4]: after the enter plans[3] a plan is needed that updates states"),
+    ("leave_copy", "copies", [("plans[2].updates", [0, 8])], "plans[2].updates[1] is copy 'fit.list.texels.momentum'; what comes after"),
+    ("leave_type", "copies", [("plans[2].updates", [0, 3])], "plans[2]: after the enter plans[1] a plan is needed that updates states of"),
+    ("leave_needs", "copies", [("plans[2].needs", [0])], "plans[2]: after the enter plans[1] a plan is needed that"),
+    ("leave_reads", "copies", [("plans[2].reads", [7, 8, 1])], "plans[2] reads 'uv'; what comes after an enter reads its copies alone"),
+    ("leave_clears", "copies", [("passes[7].attachments[0].load", 1)],
+     "plans[2].stages[0].attachments[0]: what comes after an enter loads the states that it updates"),
+    ("leave_next", "copies", [("plans[2].stages[0].attachments[0]", 43)], "plans[2].stages[0].attachments[0]: image 21 is not for this"),
+    ("leave_needed", "copies", [("plans[4].needs", [0, 1, 2])], "plans[4].needs[2]: plans[2] updates something"),
     ("variants_plan_steps", "variants", [("variants[1].plans[3].steps", 3)], "variants[1].plans[3].steps is 3; that of variants[0] is 2"),
 ]
 
@@ -221,8 +237,7 @@ def files() -> dict[str, tuple[bytes, str]]:
     def shift(at, x):
         return good[:at] + x + good[at + len(x):]
 
-    half = (FOLDER / "half.dressi").read_bytes()
-    several = (FOLDER / "variants.dressi").read_bytes()
+    several, half, copies = ((FOLDER / f"{name}.dressi").read_bytes() for name in ("variants", "half", "copies"))
     entries = bundle.loads(good).description["blobs"]
     moved = {**d, "blobs": [[entries[0][0] + 64, *entries[0][1:]], *entries[1:]]}
     huge = {**d, "blobs": [*entries[:-1], [entries[-1][0], 1 << 40, entries[-1][2]]]}
@@ -233,6 +248,7 @@ def files() -> dict[str, tuple[bytes, str]]:
         "version": (shift(8, b"\4"), "format version 4; this reader knows 1 to 3"),
         "version_without_half": (shift(8, b"\3"), "format version 3; what the file holds is written as version 1"),
         "version_with_half": (half[:8] + b"\1" + half[9:], "format version 1; what the file holds is written as version 3"),
+        "version_with_copies": (copies[:8] + b"\1" + copies[9:], "format version 1; what the file holds is written as version 3"),
         "version_of_several": (shift(8, b"\2"), "description lacks variants"),
         "version_of_one": (several[:8] + b"\1" + several[9:], "description lacks meta"),
         "reserved": (shift(12, b"\1"), "reserved field is 1; 0 is allowed"),

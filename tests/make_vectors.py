@@ -20,6 +20,7 @@ from dressi_edge.compiler import Program, describe
 from dressi_edge.compiler.autodiff import gradients
 from dressi_edge.compiler.functions import apply, constant_table, dot, lookup, mean, to_float, total
 from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
+from dressi_edge.compiler.render.optimizer import Sgd
 from dressi_edge.compiler.render.texture import sample_texture
 from dressi_edge.compiler.topology import Topology
 
@@ -95,10 +96,30 @@ def texture():
     """A texture sampled over its border, by the device's filter: a combined image sampler that repeats."""
     p = Program()
     texels, uv = p.input("texels", image("vec3", 4, 3)), p.input("uv", image("vec2", 6, 5))
-    p.plan("sample", {}, {"y": (sample_texture(texels, uv, "repeat", "exact"), image("vec3", 6, 5))})
+    p.plan("sample", {}, {"y": (sample_texture(texels, uv, "repeat", "none"), image("vec3", 6, 5))})
     rng = np.random.default_rng(2)
     return p, [("set", "texels", rng.uniform(0, 1, (3, 4, 3)).astype(np.float32)),
                ("set", "uv", rng.uniform(-1, 2, (5, 6, 2)).astype(np.float32)), ("get", "y")]
+
+
+def copies():
+    """A phase that works on a list of the texels that are sampled, one that works on all of them, and what makes the list anew."""
+    p, size, screen = Program(), image("vec3", 8, 6), image("vec2", 5, 4)
+    texels, uv = p.state("texels", size, 0.5), p.input("uv", screen)
+    y = sample_texture(texels, uv, "repeat", "exact", p.input("covered", image("int", 5, 4), 1), p.state("t", Layout("unit", "int")))
+    error = y - p.input("wanted", image("vec3", 5, 4), 0.75)
+    loss = mean(dot(error, error))
+    t, (g,) = p.values["t"].node, gradients(loss, [texels])
+    p.plan("fit", {**Sgd(4.0, 0.5).update(p, "texels", texels, g, t, low=0.0, high=0.7), "t": t + 1}, {}, group="fit")
+    p.plan("fit.loss", {}, {"loss": (loss, UNIT)}, dynamic=p.plans[0].dynamic, group="fit")
+    p.plan("fade", {"texels": texels * 0.75}, {})
+    rng = np.random.default_rng(3)
+    given = [("set", "uv", rng.uniform(0.1, 0.6, (4, 5, 2)).astype(np.float32)) for _ in range(2)]
+    seen = [("get", name) for name in ("texels", "texels.momentum", "t", "loss")]
+    return p, [given[0], ("step", "fit", 3), ("get", "loss"), ("step", "fit", 1), *seen, ("step", "fit", 2), ("step", "fade", 1),
+               ("step", "fit", 1), *seen, given[1], ("get", "loss"), ("step", "fit", 2), *seen,
+               ("set", "texels", rng.uniform(0, 1, (6, 8, 3)).astype(np.float32)),
+               ("set", "covered", np.arange(20, dtype=np.int32).reshape(4, 5) % 2), ("step", "fit", 2), *seen]
 
 
 def variants():
@@ -138,16 +159,17 @@ def half():
 
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
 TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "lists": 1e-4,
-             "texture": 8e-3, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, variants, subpasses, half)}
+             "texture": 8e-3, "copies": 1e-4, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, copies, variants, subpasses, half)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
+OPTIONS = {"copies": {"sparse_texels": 1}, "half": {"storage": "half"}}  # 1: its texture is too small to be listed otherwise
 
 
 def compiled(name: str) -> tuple[bytes, list]:
     """The bundle's bytes, and what to do with it."""
     program, steps = VECTORS[name]()
     made = [(description, assembler.blobs) for description, assembler in (
-        describe(program, Profile.load(profile), storage="half" if name == "half" else "float")
+        describe(program, Profile.load(profile), **{"storage": "float"} | OPTIONS.get(name, {}))
         for profile in PROFILES.get(name, (PROFILE,)))]
     return dumps(*(combine(made) if len(made) > 1 else made[0]), version_of([description for description, _ in made])), steps
 

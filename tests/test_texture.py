@@ -135,7 +135,7 @@ def test_textures_of_one_size_share_their_lists():
     textures = [p.input(name, picture(kind, 8, 8)) for name, kind in (("a", "vec3"), ("b", "float"))]
     loss = sum(total(dot(y, y)) for y in (sample_texture(t, uv) for t in textures))
     names = [n.op.name for n in topological(gradients(loss, textures))]
-    assert names.count("texture_list") == 1 and names.count("texture_gather") == 2
+    assert names.count("texture_list") == 1 and names.count("texture_gather_lanes") == 2
 
 
 def test_pixels_of_a_table_s_padding_do_not_count(gpu):

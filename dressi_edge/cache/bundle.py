@@ -21,7 +21,7 @@ from .files import replace_file
 from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
-VERSION, SEVERAL, HALF = 1, 2, 3  # format versions: of a file with one variant, with several, with images of 16 bits a channel
+VERSION, SEVERAL, MORE = 1, 2, 3  # format versions: of a file with one variant, with several, with images of 16 bits or copies of states
 HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
@@ -79,13 +79,14 @@ def combine(made: Sequence[tuple[dict, list[bytes]]]) -> tuple[dict, list[bytes]
 
 def version_of(descriptions: Sequence[dict]) -> int:
     """The format version of a file with these variants."""
-    if any(image["format"] in v.HALF_FORMATS for d in descriptions for image in d["images"]):
-        return HALF
+    if any(image["format"] in v.HALF_FORMATS for d in descriptions for image in d["images"]) \
+            or any(value["role"] == "copy" for d in descriptions for value in d["values"]):
+        return MORE
     return VERSION if len(descriptions) == 1 else SEVERAL
 
 
 def dumps(description: dict, blobs: list[bytes], version: int | None = None) -> bytes:
-    """The file's bytes, of a version before that with images of 16 bits unless given. `description` (of one variant, or of
+    """The file's bytes, of a version before 3 unless given. `description` (of one variant, or of
     `combine`) lacks "blobs", which is made here."""
     entries, at = [], 0
     for blob in blobs:
@@ -153,8 +154,8 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
     magic, version, reserved, size, digest = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise BundleError("not a bundle: the file does not begin with DRESSI")
-    if version not in (VERSION, SEVERAL, HALF):
-        raise BundleError(f"format version {version}; this reader knows {VERSION} to {HALF}; compile the bundle again or update "
+    if version not in (VERSION, SEVERAL, MORE):
+        raise BundleError(f"format version {version}; this reader knows {VERSION} to {MORE}; compile the bundle again or update "
                           "dressi_edge")
     if reserved != 0:
         raise BundleError(f"reserved field is {reserved}; 0 is allowed")
@@ -172,7 +173,7 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
         raise
     except Exception as e:  # msgpack raises many kinds
         raise BundleError(f"the description is no msgpack: {type(e).__name__}") from None
-    several = version == SEVERAL or version == HALF and type(description) is dict and "variants" in description
+    several = version == SEVERAL or version == MORE and type(description) is dict and "variants" in description
     if several:
         descriptions = check_variants(description)
     else:

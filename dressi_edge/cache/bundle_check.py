@@ -5,7 +5,10 @@ follows docs/bundle-format.md.
 """
 from __future__ import annotations
 
+from collections import Counter
+
 from . import vulkan as v
+from .copies import kind_of
 from .errors import BundleError
 from .layout import CHANNELS, KINDS, MAX_TABLE_ROWS, is_int, table_size
 
@@ -140,15 +143,17 @@ def check_description(d) -> None:
             raise BundleError(f"values[{k}].image {value['image']} is that of values[{images[value['image']]}]")
         names.add(value["name"])
     for k, image in enumerate(d["images"]):
-        if image["slots"] == 2 and (k not in images or d["values"][images[k]]["role"] != "state"):
-            raise BundleError(f"images[{k}].slots is 2; only the image of a state has two")
+        if image["slots"] == 2 and (k not in images or d["values"][images[k]]["role"] not in ("state", "copy")):
+            raise BundleError(f"images[{k}].slots is 2; only the image of a state or copy has two")
     names = set()
+    kinds: list[str] = []
     for k, plan in enumerate(_list("plans", d["plans"], most=MAX_PLANS)):
-        _plan(f"plans[{k}]", plan, k, d)
+        _plan(f"plans[{k}]", plan, kinds, d)
         if plan["name"] in names:
             raise BundleError(f"plans[{k}].name {_show(plan['name'])} is taken")
         names.add(plan["name"])
-    _dataflow(d)
+    _copies(d, kinds)
+    _dataflow(d, kinds)
 
 
 def check_variants(d) -> list[dict]:
@@ -268,7 +273,7 @@ def _pipeline(where, p, d) -> None:
 def _value(where, value, d) -> None:
     _map(where, value, ("name", "role", "image", "type", "layout", "width", "height", "count", "columns", "initial"))
     _text(f"{where}.name", value["name"])
-    _one_of(f"{where}.role", value["role"], ("input", "state", "output"))
+    _one_of(f"{where}.role", value["role"], ("input", "state", "output", "copy"))
     _one_of(f"{where}.type", value["type"], tuple(CHANNELS))
     _one_of(f"{where}.layout", value["layout"], KINDS)
     for key in ("width", "height", "count", "columns"):
@@ -283,15 +288,15 @@ def _value(where, value, d) -> None:
         raise BundleError(f"{where}: its image has format {image['format']}, which does not hold {value['type']}")
     if image["format"] in v.HALF_FORMATS and value["role"] != "input":
         raise BundleError(f"{where}: its image has format {image['format']}; only inputs may have 16 bits a channel")
-    wanted = v.USAGE_TRANSFER_SRC | (0 if value["role"] == "output" else v.USAGE_TRANSFER_DST)
+    wanted = {"output": v.USAGE_TRANSFER_SRC, "copy": 0}.get(value["role"], v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST)
     if image["usage"] & wanted != wanted:
         raise BundleError(f"{where}: its image lacks usage {wanted}")
     if image["data"] is not None:
         raise BundleError(f"{where}: its image {value['image']} is a constant")
     if value["initial"] is not None:
         _number(f"{where}.initial", value["initial"], 0, len(d["blobs"]) - 1)
-        if value["role"] == "output":
-            raise BundleError(f"{where}.initial: an output has none")
+        if value["role"] in ("output", "copy"):
+            raise BundleError(f"{where}.initial: {'an output' if value['role'] == 'output' else 'a copy'} has none")
 
 
 def _layout_size(value) -> tuple[int, int]:
@@ -303,29 +308,48 @@ def _layout_size(value) -> tuple[int, int]:
     return (width, height) if kind == "image" else (width * columns, height * -(-count // columns))
 
 
-def _plan(where, plan, number, d) -> None:
+def _plan(where, plan, kinds, d) -> None:
+    """`kinds`: of the plans before; this one's is added."""
+    number, leave = len(kinds), kinds[-1:] == ["enter"]
     _map(where, plan, ("name", "stages", "updates", "reads", "outputs", "needs", "steps"))
     _text(f"{where}.name", plan["name"])
     _number(f"{where}.steps", plan["steps"], 0, 1 << 40)
-    for key, role in (("updates", ("state",)), ("reads", ("input", "state")), ("outputs", ("output",))):
+    for key, role in (("updates", ("state", "copy")), ("reads", ("input", "state", "copy")), ("outputs", ("output",))):
         for k, x in enumerate(_list(f"{where}.{key}", plan[key])):
             _number(f"{where}.{key}[{k}]", x, 0, len(d["values"]) - 1)
             if d["values"][x]["role"] not in role:
                 raise BundleError(f"{where}.{key}[{k}] is {d['values'][x]['role']} {_show(d['values'][x]['name'])}; "
                                   f"{' or '.join(role)} is allowed")
-            if key == "updates" and d["images"][d["values"][x]["image"]]["slots"] != 2:
+            if key == "updates" and not leave and d["images"][d["values"][x]["image"]]["slots"] != 2:
                 raise BundleError(f"{where}.updates[{k}]: the image of {_show(d['values'][x]['name'])} has one slot; two are "
                                   "needed")
         _distinct(f"{where}.{key}", plan[key])
     low = 0
     for k, x in enumerate(_list(f"{where}.needs", plan["needs"], most=MAX_NEEDS)):
         low = _number(f"{where}.needs[{k}]", x, low, number - 1) + 1
-        if d["plans"][x]["updates"]:
+        if kinds[x] not in ("output", "enter"):
             raise BundleError(f"{where}.needs[{k}]: plans[{x}] updates something")
         if missing := set(d["plans"][x]["needs"]).difference(plan["needs"][:k]):
             raise BundleError(f"{where}.needs[{k}]: plans[{x}] needs plans[{min(missing)}], which is not among them")
+    kinds.append(kind_of(d, plan, kinds))
+    if leave:
+        _leave(where, plan, number, d)
     for k, stage in enumerate(_list(f"{where}.stages", plan["stages"])):
         _stage(f"{where}.stages[{k}]", stage, d)
+
+
+def _leave(where, plan, number, d) -> None:
+    """A plan after an enter gives each copy back to the state it stands for, in place."""
+    enter, values = d["plans"][number - 1], d["values"]
+    for k, x in enumerate(plan["updates"]):
+        if values[x]["role"] != "state":
+            raise BundleError(f"{where}.updates[{k}] is copy {_show(values[x]['name'])}; what comes after an enter updates states")
+    pairs = [[values[x]["type"] for x in p["updates"]] for p in (enter, plan)]
+    if pairs[0] != pairs[1] or plan["outputs"] or plan["needs"] != [*enter["needs"], number - 1]:
+        raise BundleError(f"{where}: after the enter plans[{number - 1}] a plan is needed that updates states of the same types, gives "
+                          "nothing out, and needs it and what it needs")
+    if strange := set(plan["reads"]).difference(enter["updates"]):
+        raise BundleError(f"{where} reads {_show(values[min(strange)]['name'])}; what comes after an enter reads its copies alone")
 
 
 def _ref(where, ref, d) -> dict:
@@ -393,7 +417,28 @@ def _draw(where, draw, stage, subpass, attached, d) -> None:
         _fail(f"{where}.depth_range", low_high, "two floats from 0 to 1 are needed")
 
 
-def _dataflow(d) -> None:
+def _copies(d, kinds) -> None:
+    """Each copy is filled by one enter, which whatever else touches it needs."""
+    enter_of: dict[int, int] = {}
+    for k, plan in enumerate(d["plans"]):
+        copies = [x for x in plan["updates"] if d["values"][x]["role"] == "copy"]
+        if kinds[k] == "enter":
+            if len(copies) != len(plan["updates"]) or kinds[k + 1:k + 2] != ["leave"]:
+                raise BundleError(f"plans[{k}] fills copies; it updates nothing else, and the plan after it gives them back")
+            for x in copies:
+                if enter_of.setdefault(x, k) != k:
+                    raise BundleError(f"plans[{k}] fills copy {_show(d['values'][x]['name'])}, as plans[{enter_of[x]}] does")
+    for k, plan in enumerate(d["plans"]):
+        for x in (*plan["updates"], *plan["reads"]):
+            if d["values"][x]["role"] == "copy" and enter_of.get(x) != k and enter_of.get(x, -1) not in plan["needs"]:
+                raise BundleError(f"plans[{k}] has to do with copy {_show(d['values'][x]['name'])}, and needs no plan that fills it")
+        for n, count in Counter(enter_of[x] for x in plan["updates"] if x in enter_of).items():
+            if count != len(d["plans"][n]["updates"]):
+                raise BundleError(f"plans[{k}] updates {count} of the {len(d['plans'][n]['updates'])} copies that plans[{n}] fills; all "
+                                  "or none is allowed")
+
+
+def _dataflow(d, kinds) -> None:
     """What plans read was filled, by a constant, input, state, earlier stage or a plan they need; they write what is theirs;
     they wait where they must; and they say what they read."""
     value_of = {value["image"]: k for k, value in enumerate(d["values"])}
@@ -404,16 +449,20 @@ def _dataflow(d) -> None:
     for k, plan in enumerate(d["plans"]):
         mine: set[int] = set()
         hazards = _Hazards()
-        reads, owned = set(plan["reads"]), {2 * d["values"][x]["image"] + 1 for x in plan["updates"]}
+        leave = kinds[k] == "leave"
+        reads, owned = set(plan["reads"]), {2 * d["values"][x]["image"] + (not leave) for x in plan["updates"]}
         owned |= {2 * d["values"][x]["image"] for x in plan["outputs"]}
+        fixed = given - owned  # a leave attaches the current slot
         for j, stage in enumerate(plan["stages"]):
             where, attached = f"plans[{k}].stages[{j}]", set(stage["attachments"])
             for n, ref in enumerate(stage["attachments"]):
-                if ref in given or ref // 2 in value_of and ref not in owned:
+                if ref in fixed or ref // 2 in value_of and ref not in owned:
                     raise BundleError(f"{where}.attachments[{n}]: image {ref // 2} is not for this plan to write")
+                if leave and ref in owned and d["passes"][stage["pass"]]["attachments"][n]["load"] != v.LOAD_LOAD:
+                    raise BundleError(f"{where}.attachments[{n}]: what comes after an enter loads the states that it updates")
             sampled = {ref for draws in stage["subpasses"] for draw in draws for ref in (*draw["images"], draw["count"])} - attached - {-1}
             for ref in sorted(sampled):
-                if ref in given:
+                if ref in fixed:
                     if ref // 2 in value_of and value_of[ref // 2] not in reads:
                         raise BundleError(f"{where} reads {_show(d['values'][value_of[ref // 2]]['name'])}, which "
                                           f"plans[{k}].reads lacks")

@@ -14,11 +14,11 @@ def bench(args) -> None:
         counts, results = summary(d), {}
         for plan in d["plans"]:
             name = plan["name"]
-            if plan["updates"]:
+            if name in session.phases:
                 session.step(1, name)  # drivers compile at the first draw
             ms = session.profile_stages(name, args.runs)
             results[name] = {**counts[name], "ms": sum(ms), "stage_ms": ms}
-            if plan["updates"]:
+            if name in session.phases:
                 results[name]["step_ms"] = _step(session, name, args.runs)
         report = {"device": session.device.name, "driver": session.device.driver, "profile": session.bundle.profile,
                   "plans": results}

@@ -17,19 +17,22 @@ from .inspect import count_functions, trace
 from .needs import needs
 from .plan import Assembler
 from .program import Program
+from .sparse import MIN_TEXELS
 from .storage import choose, halve
 
 __all__ = ["Program", "compile_program", "describe"]
 
 
 def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True, stage_packing: bool = True,
-             storage: str | None = None) -> tuple[dict, Assembler]:
+             storage: str | None = None, sparse_texels: int | None = MIN_TEXELS) -> tuple[dict, Assembler]:
     """The bundle's description without blobs, and the assembler that holds them and the stages."""
     if choose(storage, [profile]):
         program = halve(program)
-    assembler = Assembler(program, profile, naive, cache, stage_packing)
+    assembler = Assembler(program, profile, naive, cache, stage_packing, sparse_texels)
     description = assembler.assemble()
     description["meta"] = {**program.meta, "functions": count_functions(assembler)}
+    if assembler.texels:
+        description["meta"]["texels"] = assembler.texels
     description["profile"] = {"name": profile.name, "digest": profile.digest}
     description["needs"] = needs(description)
     description["depth_formats"] = [_v.DEPTH_FORMATS[name] for name in profile.depth_choice()]
@@ -37,11 +40,13 @@ def describe(program: Program, profile: Profile, *, naive: bool = False, cache: 
 
 
 def compile_program(program: Program, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, *,
-                    naive: bool = False, cache: bool = True, stage_packing: bool = True, storage: str | None = None) -> dict:
+                    naive: bool = False, cache: bool = True, stage_packing: bool = True, storage: str | None = None,
+                    sparse_texels: int | None = MIN_TEXELS) -> dict:
     """Compile for a profile (or its name) and write the bundle; its description. For a list of profiles, best first, one bundle
     with a variant for each: {"variants": [description]}. `naive`: one function a pass; `cache=False`: no reactive cache;
     `stage_packing=False`: one substage a pass. `storage`: "half" stores targets and gradients of pixels in 16 bits a channel
-    (docs/numerics.md), "float" does not; by default half if all profiles prefer it. Raises GraphError, PackError, ProfileError,
+    (docs/numerics.md), "float" does not; by default half if all profiles prefer it. `sparse_texels`: of images of so many texels or
+    more the optimizer updates the touched ones alone, of none where it is None. Raises GraphError, PackError, ProfileError,
     BundleError, InputError."""
     chosen = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
     profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in chosen]
@@ -53,7 +58,8 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
     storage = "half" if choose(storage, profiles) else "float"
     made = []
     for p in profiles:
-        description, assembler = describe(program, p, naive=naive, cache=cache, stage_packing=stage_packing, storage=storage)
+        description, assembler = describe(program, p, naive=naive, cache=cache, stage_packing=stage_packing, storage=storage,
+                                          sparse_texels=sparse_texels)
         trace(description, assembler, p.name if len(profiles) > 1 else "")
         made.append((description, assembler.blobs))
     description, blobs = made[0] if len(made) == 1 else _bundle.combine(made)

@@ -15,6 +15,7 @@ from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
 from .optable import COUNT, FILTERED, OWN, TILE, VERTEX
 from .pack import Substage
+from .sparse import STRIP
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
            "int": "R32_SINT", "ivec2": "R32G32_SINT", "ivec3": "R32G32B32A32_SINT", "ivec4": "R32G32B32A32_SINT"}
@@ -28,11 +29,14 @@ FULLSCREEN = _HEAD + """void main() {
 """
 
 
-TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
-ivec2 at = ivec2(tile % {across}, tile / {across});
+_TILE = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+ivec2 at = {at};
 vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
 vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);
-gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+"""
+TILES = _TILE + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+"""
+STRIPS = _TILE + """gl_Position = vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0);
 """
 
 
@@ -85,6 +89,14 @@ def hardware_filter(node: Node, profile: Profile) -> bool:
     return profile.format_has(format_of(node), "filter")
 
 
+def _place(i: str, column: int, height: int) -> tuple[str, str]:
+    """Column and row of an index, by shifts where they do: drivers divide negative numbers, too."""
+    if (column & (column - 1), height & (height - 1)) == (0, 0):
+        low, high = column.bit_length() - 1, (column * height).bit_length() - 1
+        return f"{i} >> {high} << {low} | {i} & {column - 1}", f"{i} >> {low} & {height - 1}"
+    return f"{i} / {column * height} * {column} + {i} % {column}", f"{i} / {column} % {height}"
+
+
 class _Emitter:
     def __init__(self, stage: Substage, profile: Profile, guard: Guard | None, inner: Collection[Node] = ()):
         self.stage, self.profile = stage, profile
@@ -129,6 +141,9 @@ class _Emitter:
     def _entry(self, k: int, e: Extent) -> str:
         if e.height == 1:
             return f"T{k}(ivec2(i, 0))"
+        if e.column < e.width:
+            x, y = _place("(i)", e.column, e.height)
+            return f"T{k}(ivec2({x}, {y}))"
         if e.width & (e.width - 1) == 0:
             return f"T{k}(ivec2((i) & {e.width - 1}, (i) >> {e.width.bit_length() - 1}))"
         return f"T{k}(ivec2((i) % {e.width}, (i) / {e.width}))"
@@ -136,7 +151,8 @@ class _Emitter:
     def names(self, node: Node) -> dict:
         e = node.extent
         names = {"w": e.width, "h": e.height, "n": e.count, "type": node.vtype, "p": "pixel",
-                 "i": f"(pixel.y * {e.width} + pixel.x)"}
+                 "i": f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
+                 f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})"}
         for key, value in node.attrs.items():
             names[key] = literal_glsl(value) if isinstance(value, (int, float)) else value
         for k, (param, x) in enumerate(zip(node.op.params, node.inputs)):
@@ -234,17 +250,24 @@ class _Emitter:
 
 
 def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
-         inner: Collection[Node] = ()) -> tuple[list[DrawCode], list[Binding]]:
+         inner: Collection[Node] = (), count: Node | None = None) -> tuple[list[DrawCode], list[Binding]]:
     """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
-    read as input attachments, written by an earlier subpass of the same render pass."""
+    read as input attachments, written by an earlier subpass of the same render pass. With `count` only so many vertices' strips of
+    `sparse.STRIP` rows of a column are."""
     e = _Emitter(stage, profile, guard, inner)
     if not stage.raster:
         fragment = e.fragment(e.pixel_body(guard), [])
+        if count is not None:
+            x, strips = stage.extent, -(-stage.extent.height // STRIP)
+            body = _mark(STRIPS, {"at": f"ivec2(tile / {strips}, tile % {strips})", "tw": x.column, "th": STRIP,
+                                  "w": x.width, "h": x.height})
+            vertex = "\n".join([_HEAD + "void main() {", body, "}", ""])
+            return [DrawCode(vertex, fragment, 6 * strips * (x.width // x.column), count=count)], e.bindings
         if guard is None or guard.tile is None:
             return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
         slot, tiles = e.slots[guard.node, SAMPLED, ""], guard.node.extent
-        body = _mark(TILES, {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "w": stage.extent.width,
-                             "h": stage.extent.height, "tiles": f"T{slot}"})
+        body = _mark(TILES, {"at": f"ivec2(tile % {tiles.width}, tile / {tiles.width})", "tw": guard.tile[0], "th": guard.tile[1],
+                             "w": stage.extent.width, "h": stage.extent.height, "tiles": f"T{slot}"})
         vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", body, "}", ""])
         return [DrawCode(vertex, fragment, 6 * tiles.count)], e.bindings
     node = stage.nodes[0]

@@ -28,7 +28,7 @@ class Guard:
     tile: tuple[int, int] | None = None
 
 
-def _constant(node: Node, known: dict[Node, np.ndarray]) -> np.ndarray | None:
+def constant_value(node: Node, known: dict[Node, np.ndarray]) -> np.ndarray | None:
     """The constant value (channels,) of a node given constant inputs, or None."""
     inputs = [x.op.ref(**x.attrs)[0, 0] if x.op.stage == "inline" else known.get(x) for x in node.inputs]
     channels = np.zeros(node.channels, np.int64 if is_int(node.vtype) else np.float64)
@@ -60,8 +60,8 @@ def _cone(node: Node, inside: set[Node], order: tuple[Node, ...]) -> tuple[Node,
     return tuple(n for n in order if n in keep)
 
 
-def find_guard(stage: Substage) -> Guard | None:
-    """The guard that leaves most work out, by tiles if it can be, or None."""
+def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
+    """The guard that leaves most work out, by tiles if it can be, or None; one that leaves out less than `least` is none."""
     if stage.raster:
         return None
     inside = set(stage.nodes)
@@ -75,7 +75,7 @@ def find_guard(stage: Substage) -> Guard | None:
         known: dict[Node, np.ndarray] = {c: np.zeros(1, np.int64)}
         for n in stage.nodes:
             if n is not c:
-                value = _constant(n, known)
+                value = constant_value(n, known)
                 if value is not None:
                     known[n] = value
         constants = [known.get(n) for n in stage.outputs]
@@ -84,6 +84,6 @@ def find_guard(stage: Substage) -> Guard | None:
         cone = _cone(c, inside, stage.nodes) if c in inside else ()
         saved = total - sum(n.op.cost for n in cone)
         rank = (c in tiles, saved)  # tiles that are not drawn cost nothing anywhere
-        if saved >= MIN_COST and (best is None or rank > best[0]):
+        if saved >= least and (best is None or rank > best[0]):
             best = (rank, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
     return best and best[1]

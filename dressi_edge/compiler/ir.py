@@ -29,11 +29,19 @@ def vector_type(channels: int, integer: bool = False) -> str:
 
 @dataclass(frozen=True)
 class Extent:
-    """Size of an image; texels from `count` on (row-major) are padding."""
+    """Size of an image; texels from `count` on (row-major) are padding. partial: the number of a list (`compiler/sparse.py`) that
+    fills the first texels, how many is known on the device alone; 0: of none."""
 
     width: int
     height: int
     count: int
+    partial: int = 0
+
+    @property
+    def column(self) -> int:
+        """Entries lie in columns of this width, in a column row by row. Lists have narrow ones, so that what a device draws at once
+        are neighbours in number; everything else has one."""
+        return COLUMN if self.partial and self.width % COLUMN == 0 else self.width
 
     def __str__(self) -> str:
         full = self.width * self.height
@@ -41,6 +49,7 @@ class Extent:
 
 
 UNIT = Extent(1, 1, 1)
+COLUMN = 64  # texels; a tile of many devices, lavapipe's among them
 
 
 def image(width: int, height: int) -> Extent:

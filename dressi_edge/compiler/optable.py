@@ -50,6 +50,15 @@ class Draw:
 
 
 @dataclass(frozen=True)
+class Listed:
+    """How a node reads input 0 where of that only a list of texels is kept (`compiler/sparse.py`): `find` makes the node's places in
+    it from an image of places, one for each texel (counted from 1, 0: not in the list), `read` the same values from list and places."""
+
+    find: Callable[[Node], Node]
+    read: Callable[[Node, Node], Node]
+
+
+@dataclass(frozen=True)
 class Op:
     """One row of the table."""
 
@@ -68,6 +77,8 @@ class Op:
     functions: str = ""
     absorbs: tuple[int, ...] = ()  # inputs that, when zero, make the result zero
     absorbs_negative: tuple[int, ...] = ()  # inputs that, when negative, make the result zero
+    absorbs_empty: tuple[int, ...] = ()  # inputs, ranges (begin, end), that make the result zero where they hold nothing
+    listed: Callable | None = None  # of a node: `Listed`
     absent: tuple[tuple[int, int], ...] = ()  # (input, result): what the result is where that input is zero
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/storage.py)
     size: Callable | None = None  # (node, sizes of its inputs) -> log2 of its usual magnitude; None: that of the largest float

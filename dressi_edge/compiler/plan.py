@@ -6,19 +6,22 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..cache import vulkan as v
+from ..cache.bundle_check import MAX_NEEDS
 from ..cache.layout import Layout
 from ..cache.profile import Profile
 from . import emit, spirv
 from .guard import find_guard
-from .ir import CHANNELS, Node, is_int, topological
+from .ir import CHANNELS, Extent, Node, is_int, topological
 from .optable import apply
 from .pack import Stage, merged_reads, pack
-from .program import PlanSpec, Program, extent_of
+from .program import PlanSpec, Program
 from .simplify import lower, simplify
+from .sparse import MIN_TEXELS, Lists, find_lists
 from .specialize import prepare, specialize
 
 
@@ -45,8 +48,9 @@ class Assembler:
     """Collects images, blobs, shaders, passes and pipelines over all plans of a program."""
 
     def __init__(self, program: Program, profile: Profile, naive: bool = False, cache: bool = True,
-                 stage_packing: bool = True):
+                 stage_packing: bool = True, sparse_texels: int | None = MIN_TEXELS):
         self.program, self.profile, self.naive, self.cache, self.stage_packing = program, profile, naive, cache, stage_packing
+        self.sparse_texels = sparse_texels if cache and not naive else None
         self.blobs: list[bytes] = []
         self._blob_at: dict[bytes, int] = {}
         self.images: list[dict] = []
@@ -57,6 +61,8 @@ class Assembler:
         self.plans: list[dict] = []
         self.prepared: dict[Node, int] = {}  # cached leaf -> the plan that fills it
         self.stage_lists: list[tuple[str, list[Stage]]] = []
+        self.copies: dict[str, tuple[Node, Layout]] = {}  # what stands for states while a phase works on lists
+        self.texels: dict[str, dict[str, str]] = {}  # phase -> sampled image -> how its texels are updated
 
     def blob(self, data: bytes) -> int:
         key = hashlib.sha256(data).digest()
@@ -78,20 +84,21 @@ class Assembler:
             role = node.op.name
             slots = 2 if role == "state" and node.attrs["name"] in self.updated else 1
             self.leaves[node] = self.new_image(format_number(node), node.extent.width, node.extent.height, slots, data)
-            if role in ("input", "state"):
+            if role in ("input", "state") and node.attrs["name"] not in self.copies:
                 self.images[self.leaves[node]]["usage"] |= v.USAGE_TRANSFER_DST | v.USAGE_TRANSFER_SRC
             if role == "constant":
                 self.images[self.leaves[node]]["usage"] |= v.USAGE_TRANSFER_DST
         return self.leaves[node]
 
     def assemble(self) -> dict:
-        self.updated = {name for spec in self.program.plans for name in spec.updates}
         self.outputs: dict[str, int] = {}
         groups: dict[tuple, list[PlanSpec]] = {}
         for spec in self.program.plans:
             groups.setdefault((spec.group, spec.dynamic), []).append(spec)
-        for specs in groups.values():
-            self._group(specs)
+        found = [self._lists(specs) for specs in groups.values()]
+        self.updated = {name for specs, _, _ in found for spec in specs for name in spec.updates}
+        for specs, rooted, lists in found:
+            self._group(specs, rooted, lists)
         values = []
         for name, value in self.program.values.items():
             role = self.program.roles[name]
@@ -103,6 +110,9 @@ class Assembler:
             values.append({"name": name, "role": role, "image": image, "type": layout.vtype, "layout": layout.kind,
                            "width": layout.width, "height": layout.height, "count": layout.count, "columns": layout.columns,
                            "initial": initial})
+        values += [{"name": name, "role": "copy", "image": self.leaf(node), "type": layout.vtype, "layout": layout.kind,
+                    "width": layout.width, "height": layout.height, "count": layout.count, "columns": layout.columns,
+                    "initial": None} for name, (node, layout) in self.copies.items()]
         names = [value["name"] for value in values]
         for plan in self.plans:
             for key in ("updates", "reads", "outputs"):
@@ -113,47 +123,76 @@ class Assembler:
                 "passes": [_unfreeze(p) for p in self.passes], "pipelines": [_unfreeze(p) for p in self.pipelines],
                 "values": values, "plans": self.plans}
 
-    def _group(self, specs: list[PlanSpec]) -> None:
+    def _lists(self, specs: list[PlanSpec]) -> tuple[list[PlanSpec], list[list[Node]], list[Lists]]:
+        """The plans of a group, their roots, and the lists on which they work."""
+        rooted, lists = [simplify(lower([*spec.updates.values(), *spec.outputs.values()])) for spec in specs], []
+        if self.sparse_texels is not None:
+            lists, rooted, told = find_lists(self.program, specs, rooted, self.sparse_texels)
+            self.texels |= {spec.name: told for spec in specs if spec.updates and told}
+        names = {name: copy.attrs["name"] for x in lists for name, copy in x.copies.items()}
+        self.copies |= {copy.attrs["name"]: (copy, x.layout(copy)) for x in lists for copy in x.copies.values()}
+        specs = [replace(spec, dynamic=spec.dynamic.union(names.values()),
+                         updates={names.get(name, name): node for name, node in spec.updates.items()}) for spec in specs]
+        return specs, rooted, lists
+
+    def _group(self, specs: list[PlanSpec], rooted: list[list[Node]], lists: list[Lists]) -> None:
         """The plans of a group, after those that compute what they share and nothing of theirs changes."""
-        rooted = [simplify(lower([*spec.updates.values(), *spec.outputs.values()])) for spec in specs]
         if self.cache:
             cached: dict[Node, Node] = {}
             rooted = [specialize(roots, spec.dynamic, spec.group, cached) for spec, roots in zip(specs, rooted)]
-            beforehand = prepare(specs[0].group, cached)
+            entered = [specialize(list(x.enter.values()), frozenset(x.copies), specs[0].group, cached) for x in lists]
+            beforehand = prepare(specs[0].group, cached, MAX_NEEDS - len(lists))
             for k, (roots, leaves) in enumerate(beforehand, 1):
                 name = f"{specs[0].group}.prepare" + (f".{k}" if k < len(beforehand) else "")
                 self._run(name, roots, [(self.leaf(x), 0) for x in leaves], [], [], 0, self._needs(roots))
                 self.prepared.update(dict.fromkeys(leaves, len(self.plans) - 1))
+            for x, roots in zip(lists, entered):
+                self._list(specs[0].group, x, roots)
+        counts = {x.extent: x.count for x in lists}
         for spec, roots in zip(specs, rooted):
-            self._plan(spec, roots, self._needs(roots))
+            self._plan(spec, roots, self._needs(roots), counts)
+
+    def _list(self, group: str, x: Lists, entered: list[Node]) -> None:
+        """The plan that fills a list and the copies of its states, and the one that puts them back, in place."""
+        copies = [copy.attrs["name"] for copy in x.copies.values()]
+        number = x.extent.partial if x.extent.partial > 1 else ""
+        needs = self._needs(entered)
+        self._run(f"{group}.enter{number}", entered, [(self.leaf(leaf), int(leaf.op.name == "state")) for leaf in x.enter], copies, [],
+                  0, needs)
+        needs = [*needs, len(self.plans) - 1]
+        self.prepared.update({leaf: needs[-1] for leaf in x.enter})
+        self._run(f"{group}.leave{number}", list(x.leave.values()), [(self.leaf(self.program.values[name].node), 0) for name in x.leave],
+                  list(x.leave), [], 0, needs, in_place=True)
 
     def _needs(self, roots: list[Node]) -> list[int]:
         """The plans that fill the cached leaves under these roots, and those that these need in turn."""
         direct = {self.prepared[n] for n in topological(roots) if n in self.prepared}
         return sorted(direct.union(*(self.plans[k]["needs"] for k in direct)))
 
-    def _plan(self, spec: PlanSpec, roots: list[Node], needs: list[int]) -> None:
+    def _plan(self, spec: PlanSpec, roots: list[Node], needs: list[int], counts: dict[Extent, Node]) -> None:
         names = [*spec.updates, *spec.outputs]
         targets, distinct, seen = [], [], set()
         for name, root in zip(names, roots):
+            home = self.copies[name][0] if name in self.copies else self.program.values[name].node
             if root.op.stage in ("leaf", "inline") or root.half is not None or root in seen:
-                layout = self.program.values[name].layout
-                root = apply("copy", root if root.extent == extent_of(layout) else apply("broadcast", root, extent=extent_of(layout)))
+                root = apply("copy", root if root.extent == home.extent else apply("broadcast", root, extent=home.extent))
             while root in seen:
                 root = apply("copy", root)
             seen.add(root)
             distinct.append(root)
             if name in spec.updates:
-                targets.append((self.leaf(self.program.values[name].node), 1))
+                targets.append((self.leaf(home), 1))
             else:
                 if name not in self.outputs:
                     layout = self.program.values[name].layout
                     self.outputs[name] = self.new_image(v.FORMATS[emit.FORMATS[layout.vtype]], *layout.size)
                     self.images[self.outputs[name]]["usage"] |= v.USAGE_TRANSFER_SRC
                 targets.append((self.outputs[name], 0))
-        self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs)
+        self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs, counts)
 
-    def _run(self, name, roots, targets, updates, outputs, steps, needs=()) -> None:
+    def _run(self, name, roots, targets, updates, outputs, steps, needs=(), counts=None, in_place=False) -> None:
+        """A plan. counts: of extents that are lists, what says how much of them there is to draw. in_place: what a guard leaves out
+        keeps what the targets held."""
         stages = pack(roots, self.profile, self.naive, self.stage_packing)
         self.stage_lists.append((name, stages))
         place = dict(zip(roots, targets))
@@ -171,7 +210,7 @@ class Assembler:
                 for n in s.outputs:
                     if n not in place:
                         place[n] = (self._take(n), 0)
-            records.append(self._stage(stage, place, hazards))
+            records.append(self._stage(stage, place, hazards, (counts or {}).get(stage.extent), in_place))
             for s in stage.substages:
                 for n in [*dict(s.reads), *s.outputs]:
                     if n in place and n not in roots and n.op.stage != "leaf" and last_read.get(n, k) == k:
@@ -189,22 +228,23 @@ class Assembler:
         image, slot = place[node] if node in place else (self.leaf(node), 0)
         return 2 * image + slot
 
-    def _stage(self, stage: Stage, place: dict, hazards: _Hazards) -> dict:
+    def _stage(self, stage: Stage, place: dict, hazards: _Hazards, count: Node | None, in_place: bool) -> dict:
         attachments: dict[int, dict] = {}
         subpasses, layouts, read_refs = [], [], set()
         depth = -1
         for number_in_pass, s in enumerate(stage.substages):
             colors = []
             inner = merged_reads(stage.substages[:number_in_pass], s)
-            guard = find_guard(s)
+            guard = None if count else find_guard(s, 0) if in_place else find_guard(s)
             clears = guard.constants if guard else (s.nodes[0].op.clear if s.raster else None,) * len(s.outputs)
             for n, clear in zip(s.outputs, clears):
                 ref = self._ref(n, place)
                 self.images[ref // 2]["usage"] |= v.USAGE_COLOR
-                attachments[ref] = {"format": format_number(n), "load": v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
+                load = v.LOAD_LOAD if in_place else v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR
+                attachments[ref] = {"format": format_number(n), "load": load,
                                     "store": v.STORE_STORE, "clear": clear or 0}
                 colors.append(list(attachments).index(ref))
-            draws, bindings = emit.emit(s, self.profile, guard, inner)
+            draws, bindings = emit.emit(s, self.profile, guard, inner, count)
             refs = [self._ref(b.node, place) for b in bindings]
             inputs = []
             for b, ref in zip(bindings, refs):

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..cache.layout import beyond_fp32
 from .ir import CHANNELS, UNIT, Node, intern, is_int, rebuild
 from .ops.reduce import lower_sum
@@ -15,6 +17,13 @@ from .optable import apply
 
 def _value(node: Node) -> float | int | None:
     return node.attrs["value"] if node.op.name == "literal" else None
+
+
+def _nothing(node: Node) -> bool:
+    """Whether it is zero in every channel: a literal, or a product with one."""
+    if node.op.name == "mul":
+        return any(_nothing(x) for x in node.inputs)
+    return node.op.name == "literal" and not np.any(node.attrs["value"])
 
 
 def _as(x: Node, like: Node) -> Node | None:
@@ -32,8 +41,8 @@ def _channel(x: Node, k: int) -> Node:
 
 # op -> (inputs, node) -> replacement or None
 RULES = {
-    "add": lambda x, n: _as(x[1], n) if _value(x[0]) == 0 else _as(x[0], n) if _value(x[1]) == 0 else None,
-    "sub": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,
+    "add": lambda x, n: _nothing(x[0]) and _as(x[1], n) or _nothing(x[1]) and _as(x[0], n) or None,
+    "sub": lambda x, n: _as(x[0], n) if _nothing(x[1]) else None,
     "mul": lambda x, n: (_as(x[1], n) if _value(x[0]) == 1 else _as(x[0], n) if _value(x[1]) == 1 else
                          _zero(n) if 0 in (_value(x[0]), _value(x[1])) else None),
     "div": lambda x, n: _as(x[0], n) if _value(x[1]) == 1 else None,

@@ -16,7 +16,7 @@ from .optable import OWN, apply
 KEEP_COST = 12  # a clean value this cheap that fetches nothing is computed again
 
 
-def _dependence(roots: Iterable[Node]) -> dict[Node, frozenset[str]]:
+def dependence(roots: Iterable[Node]) -> dict[Node, frozenset[str]]:
     """The names of the inputs and states that each node depends on."""
     names: dict[Node, frozenset[str]] = {}
     for n in topological(roots):
@@ -27,19 +27,19 @@ def _dependence(roots: Iterable[Node]) -> dict[Node, frozenset[str]]:
 
 def specialize(roots: Sequence[Node], dynamic: frozenset[str], prefix: str, cached: dict[Node, Node]) -> list[Node]:
     """New roots. `cached` (clean node -> its cached leaf) is shared by the plans of a group, and grows."""
-    return _cut(roots, {n for n, names in _dependence(roots).items() if names & dynamic}, prefix, cached)
+    return _cut(roots, {n for n, names in dependence(roots).items() if names & dynamic}, prefix, cached)
 
 
-def prepare(prefix: str, cached: dict[Node, Node]) -> list[tuple[list[Node], list[Node]]]:
+def prepare(prefix: str, cached: dict[Node, Node], most: int = MAX_NEEDS) -> list[tuple[list[Node], list[Node]]]:
     """The plans that compute what is cached, in running order, each as its roots and the cached leaves they fill: one for each
-    set of inputs and states that something depends on. What depends on fewer is cached in turn, so `cached` grows. More sets than
-    a plan may need are one."""
-    names, plans = _dependence(cached), {}
+    set of inputs and states that something depends on. What depends on fewer is cached in turn, so `cached` grows. More than `most`
+    sets are one."""
+    names, plans = dependence(cached), {}
     while left := {names[n] for n in cached} - plans.keys():
-        most = max(left, key=lambda s: (len(s), sorted(s)))
-        nodes = [n for n in cached if names[n] == most]
-        plans[most] = _cut(nodes, {n for n in names if names[n] == most}, prefix, cached), [cached[n] for n in nodes]
-    if len(plans) > MAX_NEEDS:
+        widest = max(left, key=lambda s: (len(s), sorted(s)))
+        nodes = [n for n in cached if names[n] == widest]
+        plans[widest] = _cut(nodes, {n for n in names if names[n] == widest}, prefix, cached), [cached[n] for n in nodes]
+    if len(plans) > most:
         return [(list(cached), list(cached.values()))]
     return list(plans.values())[::-1]
 

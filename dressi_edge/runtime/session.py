@@ -5,10 +5,12 @@ import functools
 import os
 import threading
 import time
+from collections.abc import Iterable
 
 import numpy as np
 
 from ..cache import bundle as bundles
+from ..cache.copies import kinds
 from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
 from ..cache.profile import Profile
@@ -22,7 +24,7 @@ from .fit import choose
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
-from .plans import Plan, profile_stages
+from .plans import Copies, Plan, profile_stages
 from .record import Recording
 from .transfer import batches, clear, download, upload
 from .work import Work
@@ -91,16 +93,19 @@ class Session:
             raise DeviceError("the device was opened before this process was forked; open another")
         self.bundle, self._depth_format, self._why = choose(bundle.variants, device, profile)
         self._d = self.bundle.description
-        self.values = {value["name"]: value for value in self._d["values"]}
+        self.values = {value["name"]: value for value in self._d["values"] if value["role"] != "copy"}
         self._layouts = {name: _layout(value) for name, value in self.values.items()}
         self.plans = {plan["name"]: plan for plan in self._d["plans"]}
-        self._plans = {plan["name"]: Plan(plan, self._d) for plan in self._d["plans"]}
+        self._plans = {plan["name"]: Plan(plan, self._d, kind) for plan, kind in zip(self._d["plans"], kinds(self._d))}
         self._giver = {name: plan for plan in reversed(self._plans.values()) for name in plan.given}
-        self.phases = [plan["name"] for plan in self._d["plans"] if plan["updates"]]
+        self.phases = [plan.name for plan in self._plans.values() if plan.kind == "phase"]
         self.phase = self.phases[0] if self.phases else None
         self._parity = {value["image"]: 0 for value in self._d["values"]}
-        self._version = dict.fromkeys(self.values, 0)
+        self._version = dict.fromkeys((value["name"] for value in self._d["values"]), 0)
         self._seen: dict[str, tuple] = {}
+        pairs = zip(self._plans.values(), [*self._plans.values()][1:])
+        self._copies = {plan.name: Copies(plan, leave) for plan, leave in pairs if plan.kind == "enter"}
+        self._out = dict.fromkeys(self._copies, False)  # whether they are newer than the states
         self._given = {n: x["initial"] is not None for n, x in self.values.items() if x["role"] == "input"}
         self._largest = max((image_bytes(self._d["images"][x["image"]]) for x in self.values.values()), default=0)
         self._runs: dict[str, int] = dict.fromkeys(self.plans, 0)
@@ -215,6 +220,7 @@ class Session:
     @_serial
     def _put(self, arrays: dict[str, np.ndarray], more: tuple = ()) -> None:
         self._work.settle()  # an interrupted step may yet flip a state
+        self._give_back(arrays)
         upload(self._work, self._staging, [self._copy(self.values[name]["image"], data) for name, data in arrays.items()],
                [*self._changes(arrays), *more])
         self._staging.trim(self._largest)
@@ -238,9 +244,19 @@ class Session:
                 raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
         elif not self._given.get(value["name"], True):
             raise InputError(f"{value['name']} has no value yet; set it first")
+        self._give_back([value["name"]])
         return download(self._work, self._staging, [self._handle(value["image"])])[0]
 
     # ---- running
+
+    def _give_back(self, names: Iterable[str]) -> None:
+        """Bring those of these states up to date of which a phase has newer copies."""
+        for name, out in self._out.items():
+            if out and not self._copies[name].states.isdisjoint(names):
+                leave = self._copies[name].leave
+                self._work.submit([self._recording(leave).commands],
+                                  [(self._runs, leave.name, self._runs[leave.name] + 1), (self._out, name, False)])
+                self._work.settle()
 
     def _run_if_changed(self, plan: Plan, prepared: bool = False) -> None:
         versions = tuple(map(self._version.__getitem__, plan.reads))
@@ -277,6 +293,7 @@ class Session:
         self._work.settle()
         if not prepared:
             self._prepare(plan)
+        self._give_back(plan.touches)
         commands = [self._recording(plan).commands]
         if plan.states and n > 1:
             commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
@@ -288,8 +305,20 @@ class Session:
 
     def _stepped(self, plan: Plan, n: int) -> list:
         """What is true after n iterations."""
-        return [*((self._version, name, self._version[name] + 1) for name, _ in plan.states),
+        if plan.kind == "leave":  # it changes where the values are
+            return []
+        return [*self._copied(plan), *((self._version, name, self._version[name] + 1) for name, _ in plan.states),
                 *((self._parity, image, self._parity[image] ^ n & 1) for _, image in plan.states)]
+
+    def _copied(self, plan: Plan) -> list:
+        """What is true once a phase has new copies: the states have new values, and these copies are what an enter would make."""
+        changes, updated = [], [name for name, _ in plan.states]
+        for name, copies in self._copies.items() if plan.kind == "phase" else ():
+            if not copies.names.isdisjoint(updated):
+                versions = self._version | {state: self._version[state] + 1 for state in copies.states}
+                changes += [(self._version, state, versions[state]) for state in copies.states]
+                changes += [(self._seen, name, tuple(map(versions.__getitem__, copies.enter.reads))), (self._out, name, True)]
+        return changes
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         """Run n iterations of a phase (default: the current one) in one submission; how many were run.
@@ -350,6 +379,7 @@ class Session:
         plan = self._plans[name]
         self._ready(plan)
         self._prepare(plan)
+        self._give_back(plan.touches)
 
         def record(timestamps: int) -> Recording:
             return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
@@ -364,6 +394,7 @@ class Session:
         self._work.settle()
         runs = {name: self._runs[name] for name in self.phases}
         names = self._kept(runs, [n for n, given in self._given.items() if given])
+        self._give_back(names)
         data = download(self._work, self._staging, [self._handle(self.values[name]["image"]) for name in names])
         self._staging.trim(self._largest)
         return checkpoints.Checkpoint(self.phase, runs, dict(zip(names, data)))
@@ -401,6 +432,7 @@ class Session:
         self._work.settle()
         return {"device": self.device.name, "driver": self.device.driver_info, "profile": self.bundle.profile,
                 "variants": dict(self._why),
-                "runs": dict(self._runs), "skipped": {n: k for n, k in self._skipped.items() if not self.plans[n]["updates"]},
+                "runs": dict(self._runs), "skipped": {n: k for n, k in self._skipped.items() if self._plans[n].kind in ("output", "enter")},
+                "texels": self._d["meta"].get("texels", {}),
                 "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
                 "pipelines": len(self._d["pipelines"]), "pipeline_cache": self._store.state, "time": time.time()}

@@ -346,7 +346,7 @@ typedef struct {
     VkPipelineLayout layout;
     VkPipeline handle;
 } Pipeline;
-typedef enum { INPUT, STATE, OUTPUT } Role;
+typedef enum { INPUT, STATE, OUTPUT, COPY } Role;
 typedef enum { UNIT, TABLE, IMAGE, ATLAS } Layout;
 typedef struct {
     char *name;
@@ -354,7 +354,7 @@ typedef struct {
     Layout layout;
     uint32_t image, channels, width, height, count, columns;
     bool is_int, has_value;
-    int initial;
+    int initial, enter;  /* a blob; of a copy the plan that fills it; or -1 */
     uint64_t version;
 } Value;
 typedef struct { uint32_t pipeline, vertices, cell_count; int64_t count; Indices images; int (*cells)[4]; float near, far; } Draw;
@@ -367,12 +367,14 @@ typedef struct Recording {
     VkFramebuffer *framebuffers;
     struct Recording *next;
 } Recording;
+typedef enum { GIVES, PHASE, ENTER, LEAVE } Purpose;
 typedef struct {
     char *name;
+    Purpose purpose;
     Indices updates, reads, outputs, needs;
     uint32_t stage_count;
     Stage *stages;
-    bool has_run;
+    bool has_run, out;  /* out: of an enter, that its copies are newer than the states */
     uint64_t seen;  /* versions() when it last ran */
     Recording *recordings;
 } Plan;
@@ -635,7 +637,7 @@ static void read_pipelines(const uint32_t *models) {
 static uint64_t divided(uint64_t a, uint64_t b) { return (a + b - 1) / b; }
 
 static void read_values(void) {
-    static const char *const roles[] = {"input", "state", "output"}, *const layouts[] = {"unit", "table", "image", "atlas"};
+    static const char *const roles[] = {"input", "state", "output", "copy"}, *const layouts[] = {"unit", "table", "image", "atlas"};
     static const char *const types[] = {"float", "vec2", "vec3", "vec4", "int", "ivec2", "ivec3", "ivec4"};
     const Node *values = open_list(bundle.root, "values", MAX_LIST);
     bundle.values = make(bundle.value_count = values->count, sizeof(Value));
@@ -646,7 +648,7 @@ static void read_values(void) {
         value->name = word(node, "name");
         for (uint32_t j = 0; j < k; j++)
             if (!strcmp(bundle.values[j].name, value->name)) refuse("name '%s' is taken", value->name);
-        value->role = choice(node, "role", roles, 3);
+        value->role = choice(node, "role", roles, 4);
         value->image = number(node, "image", 0, (int64_t)bundle.image_count - 1);
         int type = choice(node, "type", types, 8);
         value->channels = type % 4 + 1;
@@ -672,21 +674,23 @@ static void read_values(void) {
         uint32_t half = value->is_int || value->role != INPUT ? format : value->channels == 1 ? 76 : value->channels == 2 ? 83 : 97;
         if (image->format != format && image->format != half) refuse("its image has another format than its type");
         if (image->value >= 0 || image->data >= 0) refuse("its image is another value's, or a constant");
-        if (image->slots != 1 && value->role != STATE) refuse("its image has two slots");
-        uint32_t usage = value->role == OUTPUT ? 1 : 3;
+        if (image->slots != 1 && value->role != STATE && value->role != COPY) refuse("its image has two slots");
+        uint32_t usage = value->role == COPY ? 0 : value->role == OUTPUT ? 1 : 3;
         if ((image->usage & usage) != usage) refuse("its image cannot be set or got");
         image->value = k;
         value->initial = blob_or_nil(node, "initial", image_bytes(image));
-        if (value->role == OUTPUT && value->initial >= 0) refuse("an output has no initial");
-        value->has_value = value->role == STATE || value->initial >= 0;
+        if ((value->role == OUTPUT || value->role == COPY) && value->initial >= 0) refuse("an output or a copy has no initial");
+        value->has_value = value->role == STATE || value->role == COPY || value->initial >= 0;
+        value->enter = -1;
     }
     pop();
     push("images", 0);
     for (uint32_t k = 0; k < bundle.image_count; k++) {
         AT(k);
         const Image *image = bundle.images + k;
-        if (image->slots == 2 && (image->value < 0 || bundle.values[image->value].role != STATE))
-            refuse("only the image of a state has two slots");
+        if (image->slots != 2) continue;
+        Role role = image->value < 0 ? OUTPUT : bundle.values[image->value].role;
+        if (role != STATE && role != COPY) refuse("only the image of a state or copy has two slots");
     }
     pop();
 }
@@ -736,7 +740,7 @@ static void read_draw(const Node *node, Draw *draw, const Stage *stage, uint32_t
     if (draw->cell_count != 1) refuse("has a count and more or less than one cell");
 }
 
-static void read_stage(const Node *node, Stage *stage) {
+static void read_stage(const Node *node, Stage *stage, const Plan *plan) {
     keys(node, "pass width height attachments wait subpasses");
     stage->pass = number(node, "pass", 0, (int64_t)bundle.pass_count - 1);
     stage->width = number(node, "width", 1, 65536);
@@ -754,7 +758,9 @@ static void read_stage(const Node *node, Stage *stage) {
         if (image->format != pass->attachments[k].format || !(image->usage & (image->format ? 16 : 32)) ||
             image->width != stage->width || image->height != stage->height)
             refuse("attachments[%u] has another format, usage or size", k);
-        if (!(ref & 1) && (image->data >= 0 || (image->value >= 0 && bundle.values[image->value].role != OUTPUT)))
+        bool back = plan->purpose == LEAVE && image->value >= 0 && has(plan->updates, image->value);
+        if (!(ref & 1) && back && pass->attachments[k].load) refuse("attachments[%u] is a state to update in place, and not loaded", k);
+        if (!(ref & 1) && !back && (image->data >= 0 || (image->value >= 0 && bundle.values[image->value].role != OUTPUT)))
             refuse("attachments[%u] is only read", k);
     }
     const Node *subpasses = open_list(node, "subpasses", 1024);
@@ -777,6 +783,52 @@ static void check_once(Indices all, const char *what) {
     }
 }
 
+static bool updates_copies(const Plan *plan) {
+    for (uint32_t k = 0; k < plan->updates.count; k++)
+        if (bundle.values[plan->updates.at[k]].role == COPY) return true;
+    return false;
+}
+
+/* What plan k is for, and whether it is whole as that. */
+static void find_purpose(uint32_t k) {
+    Plan *plan = bundle.plans + k, *enter = plan - 1;
+    bool fills = updates_copies(plan);
+    plan->purpose = plan->updates.count ? PHASE : GIVES;
+    for (uint32_t j = 0; j < plan->needs.count; j++) fills &= bundle.plans[plan->needs.at[j]].purpose != ENTER;
+    if (k && enter->purpose == ENTER) {
+        plan->purpose = LEAVE;
+        bool same = plan->updates.count == enter->updates.count && plan->needs.count == enter->needs.count + 1 && !plan->outputs.count;
+        for (uint32_t j = 0; same && j < plan->needs.count; j++)
+            same = plan->needs.at[j] == (j < enter->needs.count ? enter->needs.at[j] : k - 1);
+        for (uint32_t j = 0; same && j < plan->updates.count; j++) {
+            const Value *a = bundle.values + plan->updates.at[j], *b = bundle.values + enter->updates.at[j];
+            same = a->role == STATE && a->channels == b->channels && a->is_int == b->is_int;
+        }
+        for (uint32_t j = 0; same && j < plan->reads.count; j++) same = has(enter->updates, plan->reads.at[j]);
+        if (!same) refuse("does not give back what the plan before it fills");
+    } else if (fills) {
+        plan->purpose = ENTER;
+        for (uint32_t j = 0; j < plan->updates.count; j++) {
+            Value *value = bundle.values + plan->updates.at[j];
+            if (value->role != COPY || value->enter >= 0) refuse("fills what is no copy, or one that another plan fills");
+            value->enter = k;
+        }
+        if (k + 1 == bundle.plan_count) refuse("fills copies, and no plan gives them back");
+    }
+    Indices both[] = {plan->updates, plan->reads};
+    for (int b = 0; b < 2; b++)
+        for (uint32_t j = 0; j < both[b].count; j++) {
+            const Value *value = bundle.values + both[b].at[j];
+            if (value->role != COPY || value->enter == (int)k) continue;
+            if (value->enter < 0 || !has(plan->needs, value->enter))
+                refuse("has to do with copy '%s', and needs no plan that fills it", value->name);
+            for (uint32_t n = 0; !b && n < bundle.plans[value->enter].updates.count; n++)
+                if (!has(plan->updates, bundle.plans[value->enter].updates.at[n])) refuse("updates copy '%s' without others", value->name);
+        }
+    for (uint32_t j = 0; j < plan->updates.count && plan->purpose != LEAVE; j++)
+        if (bundle.images[bundle.values[plan->updates.at[j]].image].slots != 2) refuse("updates what has not two slots");
+}
+
 static void read_plans(void) {
     const Node *plans = open_list(bundle.root, "plans", 4096);
     bundle.plans = make(bundle.plan_count = plans->count, sizeof(Plan));
@@ -795,7 +847,7 @@ static void read_plans(void) {
         check_once(plan->updates, "updates"), check_once(plan->reads, "reads"), check_once(plan->outputs, "outputs");
         for (uint32_t j = 0; j < plan->updates.count; j++) {
             const Value *value = bundle.values + plan->updates.at[j];
-            if (value->role != STATE || bundle.images[value->image].slots != 2) refuse("updates what is no state of two slots");
+            if (value->role != STATE && value->role != COPY) refuse("updates what is no state and no copy");
         }
         for (uint32_t j = 0; j < plan->reads.count; j++)
             if (bundle.values[plan->reads.at[j]].role == OUTPUT) refuse("reads an output");
@@ -803,7 +855,7 @@ static void read_plans(void) {
             if (bundle.values[plan->outputs.at[j]].role != OUTPUT) refuse("outputs what is no output");
         for (uint32_t j = 0; j < plan->needs.count; j++) {
             const Plan *other = bundle.plans + plan->needs.at[j];
-            if (other->updates.count) refuse("needs a plan that updates something");
+            if (other->purpose != GIVES && other->purpose != ENTER) refuse("needs a plan that updates something");
             for (uint32_t n = 0; n < other->needs.count; n++) {
                 uint32_t before = 0;
                 while (before < j && plan->needs.at[before] != other->needs.at[n]) before++;
@@ -811,9 +863,10 @@ static void read_plans(void) {
             }
             if (j && plan->needs.at[j] <= plan->needs.at[j - 1]) refuse("needs must rise");
         }
+        find_purpose(k);
         const Node *stages = open_list(node, "stages", MAX_LIST);
         plan->stages = make(plan->stage_count = stages->count, sizeof(Stage));
-        for EACH(s, stages) read_stage(stages->is.items + s, plan->stages + s);
+        for EACH(s, stages) read_stage(stages->is.items + s, plan->stages + s, plan);
         pop();
     }
     pop();
@@ -833,7 +886,8 @@ static uint32_t *wrote, *sampled, *plans_of;
 static void check_sample(const Plan *plan, uint32_t ref, uint32_t first) {
     const Image *image = bundle.images + ref / 2;
     if (!(ref & 1) && image->data >= 0) return;
-    if (!(ref & 1) && image->value >= 0 && bundle.values[image->value].role != OUTPUT) {
+    bool back = plan->purpose == LEAVE && image->value >= 0 && has(plan->updates, image->value);
+    if (!(ref & 1) && !back && image->value >= 0 && bundle.values[image->value].role != OUTPUT) {
         if (!has(plan->reads, image->value)) refuse("reads '%s', which reads lacks", bundle.values[image->value].name);
         return;
     }
@@ -851,7 +905,7 @@ static void check_stage(const Plan *plan, const Stage *stage, uint32_t now, uint
     for (uint32_t a = 0; a < stage->attachments.count; a++) {
         uint32_t ref = stage->attachments.at[a];
         const Image *image = bundle.images + ref / 2;
-        if (image->value >= 0 && !has(ref & 1 ? plan->updates : plan->outputs, image->value))
+        if (image->value >= 0 && !has((ref & 1) != (plan->purpose == LEAVE) ? plan->updates : plan->outputs, image->value))
             refuse("attachments[%u] is not for this plan", a);
         hazard |= wrote[ref] >= *waited || sampled[ref] >= *waited;
     }
@@ -903,7 +957,7 @@ static void check_flow(void) {
         }
         pop();
         for (uint32_t j = 0; j < plan->updates.count; j++)
-            if (!attaches(plan, 2 * bundle.values[plan->updates.at[j]].image + 1)) refuse("does not write a state that it updates");
+            if (!attaches(plan, 2 * bundle.values[plan->updates.at[j]].image + (plan->purpose != LEAVE))) refuse("does not write a state that it updates");
         for (uint32_t j = 0; j < plan->outputs.count; j++)
             if (!attaches(plan, 2 * bundle.values[plan->outputs.at[j]].image)) refuse("does not write an output that it lists");
     }
@@ -970,8 +1024,10 @@ static void check_alike(const char *key, const char *const *names, int count) {
     pop();
 }
 
-static bool has_half(void) {
+/* What only version 3 has: images of 16 bits a channel, copies. */
+static bool has_more(void) {
     for (uint32_t k = 0; k < bundle.image_count; k++) if (is_half(bundle.images[k].format)) return true;
+    for (uint32_t k = 0; k < bundle.value_count; k++) if (bundle.values[k].role == COPY) return true;
     return false;
 }
 
@@ -987,7 +1043,7 @@ static void read_bundle(const char *name) {
     check_digest(file + 56, size, file + 24, "the description");
     static Node root;
     root = read_description(file + 56, size);
-    bool several = version == 2, half = false;
+    bool several = version == 2, more = false;
     for (uint32_t k = 0; version == 3 && root.kind == MAP && k < root.count; k++) several |= same(root.is.items + 2 * k, "variants");
     keys(&root, several ? "variants blobs" : VARIANT_KEYS " blobs");
     read_blobs(&root, 56 + size);
@@ -995,7 +1051,7 @@ static void read_bundle(const char *name) {
         bundle.root = &root;
         read_variant();
         variants[variant_count++] = bundle;
-        if (has_half() != (version == 3)) refuse("format version %llu is not that of its images", (unsigned long long)version);
+        if (has_more() != (version == 3)) refuse("format version %llu is not that of what it holds", (unsigned long long)version);
         return;
     }
     const Node *list = open_list(&root, "variants", MAX_VARIANTS);
@@ -1007,12 +1063,12 @@ static void read_bundle(const char *name) {
         for (uint32_t j = 0; j < k; j++)
             if (!strcmp(variants[j].profile, bundle.profile)) refuse("profile.name '%s' is taken", bundle.profile);
         variants[variant_count++] = bundle;
-        half |= has_half();
+        more |= has_more();
         check_alike("values", seen_of_values, sizeof seen_of_values / sizeof *seen_of_values);
         check_alike("plans", seen_of_plans, sizeof seen_of_plans / sizeof *seen_of_plans);
     }
     pop();
-    if (half != (version == 3)) refuse("format version %llu is not that of its images", (unsigned long long)version);
+    if (more != (version == 3)) refuse("format version %llu is not that of what it holds", (unsigned long long)version);
 }
 
 /* ---- Vulkan: a device that offers what is needed ---- */
@@ -1474,10 +1530,34 @@ static void bring_up_to_date(Plan *plan) {
     if (!plan->has_run || plan->seen != versions(plan)) run_plan(plan, 1);
 }
 
+/* The states among these take what a phase has in newer copies. */
+static void give_back(Indices values) {
+    for (uint32_t k = 0; k + 1 < bundle.plan_count; k++) {
+        Plan *enter = bundle.plans + k, *leave = enter + 1;
+        for (uint32_t j = 0; j < values.count && enter->out; j++)
+            if (has(leave->updates, values.at[j])) {
+                submit(recording(leave));
+                enter->out = false;
+            }
+    }
+}
+
+/* The phase has run: the states it has copies of have new values, and the copies are what filling them would make. */
+static void take_out(const Plan *phase) {
+    for (uint32_t k = 0; k + 1 < bundle.plan_count; k++) {
+        Plan *enter = bundle.plans + k, *leave = enter + 1;
+        if (enter->purpose != ENTER || !has(phase->updates, enter->updates.at[0])) continue;
+        for (uint32_t j = 0; j < leave->updates.count; j++) bundle.values[leave->updates.at[j]].version++;
+        enter->seen = versions(enter);
+        enter->out = true;
+    }
+}
+
 static void run_plan(Plan *plan, uint64_t count) {
     check_inputs(plan);
     for (uint32_t k = 0; k < plan->needs.count; k++) check_inputs(bundle.plans + plan->needs.at[k]);
     for (uint32_t k = 0; k < plan->needs.count && count; k++) bring_up_to_date(bundle.plans + plan->needs.at[k]);
+    if (count) give_back(plan->reads), give_back(plan->updates);
     for (; count; count--) {
         submit(recording(plan));
         plan->has_run = true;
@@ -1487,12 +1567,13 @@ static void run_plan(Plan *plan, uint64_t count) {
             bundle.images[value->image].parity ^= 1;
             value->version++;
         }
+        if (plan->purpose == PHASE) take_out(plan);
     }
 }
 
 static Value *find_value(const char *name) {
     for (uint32_t k = 0; k < bundle.value_count; k++)
-        if (!strcmp(bundle.values[k].name, name)) return bundle.values + k;
+        if (!strcmp(bundle.values[k].name, name) && bundle.values[k].role != COPY) return bundle.values + k;
     die("the bundle has no value %s", name);
 }
 
@@ -1552,6 +1633,7 @@ static void set_value(Value *value, const char *name) {
     for (uint64_t k = 0; k < wanted / 4 && !value->is_int; k++)
         if ((array[k] & 0x7fffffff) > most) die("%s: number %llu is not finite as stored", name, (unsigned long long)k);
     void *texels = make(image_bytes(image), 1);
+    give_back((Indices){1, (uint32_t[]){value - bundle.values}});
     arrange(value, array, texels, true);
     transfer(image, image->parity, texels, true);
     value->has_value = true;
@@ -1573,6 +1655,7 @@ static void get_value(Value *value, const char *name) {
     uint64_t size = entries(value) * value->channels * 4;
     uint32_t *array = make(size, 1);
     void *texels = make(image_bytes(image), 1);
+    give_back((Indices){1, (uint32_t[]){value - bundle.values}});
     transfer(image, image->parity, texels, false);
     arrange(value, array, texels, false);
     FILE *f = fopen(name, "wb");
@@ -1586,7 +1669,7 @@ static void step(const char *name, const char *times) {
     unsigned long long count = strtoull(times, &rest, 10);
     if (*rest || !*times) die("%s is no number of steps", times);
     for (uint32_t k = 0; k < bundle.plan_count; k++)
-        if (!strcmp(bundle.plans[k].name, name)) {
+        if (!strcmp(bundle.plans[k].name, name) && bundle.plans[k].purpose != ENTER && bundle.plans[k].purpose != LEAVE) {
             run_plan(bundle.plans + k, count);
             return;
         }

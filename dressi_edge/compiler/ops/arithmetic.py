@@ -84,6 +84,17 @@ for _name, _symbol, _function, _ref in (("less", "<", "lessThan", np.less), ("le
     _comparison(_name, _symbol, _function, _ref)
 
 
+def _differs_glsl(node):
+    kind = vector_type(node.inputs[0].channels)
+    return f"{{y}} = int(floatBitsToInt({kind}({{a}})) != floatBitsToInt({kind}({{b}})));"
+
+
+op("differs", "a b", glsl=_differs_glsl, infer=lambda name, inputs, attrs: ("int", elementwise(name, inputs, attrs)[1]),
+   ref=lambda a, b: ((a != b) | (np.signbit(a) != np.signbit(b))).any(-1, keepdims=True).astype(np.int64),
+   sample=lambda rng: ([rng.integers(0, 2, (4, 5, 3)) * rng.choice([-1.0, 1.0], (4, 5, 3)), np.zeros((1, 1, 1))], {}),
+   doc="1 where some channel of a differs from that of b in any bit, its sign too.")
+
+
 def _select_infer(name, inputs, attrs):
     c, a, b = inputs
     if not is_int(c.vtype):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..ir import Node, table
+from ..ir import Extent, Node, table
 from ..optable import Loop, apply, at, op
 from .lookup import LOOKUP, lookup_ref
 
@@ -129,13 +129,14 @@ class Compact:
         return apply("lookup_unique", values, self.entries, self.slots)
 
 
-def compact(flags: Node, each: int) -> Compact:
-    """The list of the entries of an int table or image that are 1 (the others 0); a draw has `each` vertices an entry."""
+def compact(flags: Node, each: int, extent: Extent | None = None) -> Compact:
+    """The list of the entries of an int table or image that are 1 (the others 0), a table unless `extent` says how it lies; a draw has
+    `each` vertices an entry."""
     levels = [flags]
     while levels[-1].extent.count > CHUNK * CHUNK:
         levels.append(apply("chunk_counts", levels[-1], count=levels[-1].extent.count))
     running = apply("running_counts", levels[-1], count=levels[-1].extent.count, each=each)
-    found = apply("first_chunk", running, each=each, extent=table(flags.extent.count))
+    found = apply("first_chunk", running, each=each, extent=extent or table(flags.extent.count))
     for counts in reversed(levels):
         found = apply("descend", counts, found, count=counts.extent.count)
     return Compact(flags, found.x, running, each)

@@ -57,17 +57,17 @@ def _infer(name, inputs, attrs):
     return inputs[0].vtype, common_extent(name, inputs[1:])
 
 
-_FOOTPRINT = """vec2 s_ = {uv} * vec2({texture_w}, {texture_h}) - 0.5, b_ = floor(s_);
+FOOTPRINT = """vec2 s_ = {uv} * vec2({texture_w}, {texture_h}) - 0.5, b_ = floor(s_);
     s_ -= b_; ivec2 k_ = ivec2(clamp(b_, -2e9, 2e9)), z_ = ivec2({texture_w}, {texture_h});"""
-_TEXELS = {"repeat": "ivec2 lo_ = (k_ % z_ + z_) % z_, hi_ = ivec2(lo_.x + 1 == z_.x ? 0 : lo_.x + 1, lo_.y + 1 == z_.y ? 0 : lo_.y + 1);",
+TEXELS = {"repeat": "ivec2 lo_ = (k_ % z_ + z_) % z_, hi_ = ivec2(lo_.x + 1 == z_.x ? 0 : lo_.x + 1, lo_.y + 1 == z_.y ? 0 : lo_.y + 1);",
            "clamp": "ivec2 lo_ = clamp(k_, ivec2(0), z_ - 1), hi_ = clamp(k_ + 1, ivec2(0), z_ - 1);"}
-_FETCHES = """{t} t00_ = {texture}(lo_), t10_ = {texture}(ivec2(hi_.x, lo_.y)),
+FETCHES = """{t} t00_ = {texture}(lo_), t10_ = {texture}(ivec2(hi_.x, lo_.y)),
     t01_ = {texture}(ivec2(lo_.x, hi_.y)), t11_ = {texture}(hi_);"""
 
 
 def _sample_glsl(node: Node) -> str:
     """Four fetches; the emitter uses the sampler instead where the profile filters this format."""
-    return "{ " + _FOOTPRINT + _TEXELS[node.attrs["wrap"]] + _FETCHES.replace("{t}", "{type}") + \
+    return "{ " + FOOTPRINT + TEXELS[node.attrs["wrap"]] + FETCHES.replace("{t}", "{type}") + \
         "{y} = mix(mix(t00_, t10_, s_.x), mix(t01_, t11_, s_.x), s_.y); }"
 
 
@@ -76,7 +76,7 @@ def _grad_glsl(node: Node) -> str:
     dot = "dot" if node.inputs[0].channels > 1 else ""
     product = f"{dot}({{g}}, " if dot else "({g} * ("
     close = ")" if dot else "))"
-    return "{ " + _FOOTPRINT + _TEXELS[node.attrs["wrap"]] + _FETCHES.replace("{t}", kind) + \
+    return "{ " + FOOTPRINT + TEXELS[node.attrs["wrap"]] + FETCHES.replace("{t}", kind) + \
         f"{{y}} = vec2({product}mix(t10_ - t00_, t11_ - t01_, s_.y){close}, {product}mix(t01_ - t00_, t11_ - t10_, s_.x){close})" \
         " * vec2({texture_w}, {texture_h}); }"
 

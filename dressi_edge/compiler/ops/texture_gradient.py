@@ -13,9 +13,9 @@ import numpy as np
 
 from ...cache.errors import GraphError
 from ..ir import Extent, Node, image, is_int, table
-from ..optable import Loop, apply, common_extent, op
+from ..optable import Listed, Loop, apply, common_extent, op
 from .lookup import constant
-from .texture import WRAPS, _infer, _sample_glsl, _sample_ref
+from .texture import FETCHES, FOOTPRINT, TEXELS, WRAPS, _infer, _sample_ref, footprint
 
 LAST = 2 ** 31 - 1  # key of a pixel that samples nothing: sorted behind all others
 MAX_PIXELS = 1 << 24  # pixel numbers are kept as floats
@@ -34,8 +34,10 @@ def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> No
     rows = apply("texture_rows", bins)
     entries = apply("texture_list", rows, bins, ordered, footprint)
     across, down = _split(extent, 4 * uv.extent.count)
-    y = apply("texture_gather", g, rows, entries, across=across, down=down)
-    return y if across == 1 else apply("block_sum", y, bw=across, bh=down, count=y.extent.count)
+    if across == 1:
+        return apply("texture_gather", g, rows, entries)
+    y = apply("texture_gather_lanes", g, rows, entries, across=across, down=down)
+    return apply("block_sum", y, bw=across, bh=down, count=y.extent.count)
 
 
 def _split(extent: Extent, entries: int) -> tuple[int, int]:
@@ -50,13 +52,59 @@ def _split(extent: Extent, entries: int) -> tuple[int, int]:
 
 # ---- sampling
 
-op("sample_exact", "texture uv covered", infer=_infer, reads="filtered own own", cost=40, glsl=_sample_glsl,
-   ref=lambda texture, uv, covered, wrap: _sample_ref(texture, uv, wrap),
-   vjp=lambda g, y, texture, uv, covered, wrap: (transpose(g, uv, covered, texture.extent, wrap),
-                                                 apply("sample_uv_gradient", texture, uv, g, wrap=wrap), None),
-   sample=lambda rng: ([rng.normal(size=(5, 4, 3)), rng.uniform(-0.4, 1.4, (6, 5, 2)), np.ones((6, 5, 1), np.int64)],
+def _sample_vjp(g, y, texture, uv, covered, wrap):
+    inside = apply("select", covered, g, 0.0)
+    return transpose(g, uv, covered, texture.extent, wrap), apply("sample_uv_gradient", texture, uv, inside, wrap=wrap), None
+
+
+def _listed(node: Node) -> Listed:
+    """How `sample_exact` reads a texture of which there is only a list."""
+    texture, uv, covered = node.inputs
+    e = texture.extent
+    return Listed(lambda places: apply("texel_places", places, uv, covered, wrap=node.attrs["wrap"]),
+                  lambda entries, places: apply("sample_listed", entries, places, uv, width=e.width, height=e.height))
+
+
+_BILINEAR = "mix(mix(t00_, t10_, s_.x), mix(t01_, t11_, s_.x), s_.y)"
+# Always by fetches: samplers have weights of 8 bits, and the transpose is of the exact ones.
+op("sample_exact", "texture uv covered", infer=_infer, reads="texel own own", cost=40, vjp=_sample_vjp, listed=_listed,
+   absent=((2, 0),), ref=lambda texture, uv, covered, wrap: np.where(covered != 0, _sample_ref(texture, uv, wrap), 0),
+   glsl=lambda node: "{ " + FOOTPRINT + TEXELS[node.attrs["wrap"]] + FETCHES.replace("{t}", "{type}")
+   + "{y} = {covered} != 0 ? " + _BILINEAR + " : {type}(0); }",
+   sample=lambda rng: ([rng.normal(size=(5, 4, 3)), rng.uniform(-0.4, 1.4, (6, 5, 2)), rng.integers(0, 2, (6, 5, 1))],
                        {"wrap": "repeat"}),
-   doc="Bilinear sample of a texture that is optimized. `covered` says which pixels' gradients reach the texture.")
+   doc="Bilinear sample of a texture that is optimized, where `covered`; zero elsewhere.")
+
+
+# ---- the same of a list of the texture's texels (compiler/sparse.py)
+
+def _places_ref(places, uv, covered, wrap):
+    xs, ys, _, _ = footprint(uv, places.shape[1], places.shape[0], wrap)
+    return np.where(covered != 0, np.stack([places[ys[..., j], xs[..., i], 0] for j in (0, 1) for i in (0, 1)], -1), 0) - 1
+
+
+def _sample_listed_ref(entries, places, uv, width, height):
+    s = uv * np.array([width, height]) - 0.5
+    fx, fy = np.split(s - np.floor(s), 2, -1)
+    t00, t10, t01, t11 = (entries.reshape(-1, entries.shape[2])[np.maximum(places[..., k], 0)] for k in range(4))
+    return np.where(places[..., :1] >= 0, (t00 * (1 - fx) + t10 * fx) * (1 - fy) + (t01 * (1 - fx) + t11 * fx) * fy, 0)
+
+
+op("texel_places", "texture uv covered", reads="texel own own", cost=40, ref=_places_ref,
+   infer=lambda name, inputs, attrs: ("ivec4", common_extent(name, inputs[1:])),
+   glsl=lambda node: "{ " + FOOTPRINT + TEXELS[node.attrs["wrap"]] + FETCHES.replace("{t}", "int")
+   + "{y} = ({covered} != 0 ? ivec4(t00_, t10_, t01_, t11_) : ivec4(0)) - 1; }",
+   sample=lambda rng: ([rng.integers(1, 9, (5, 4, 1)), rng.uniform(-0.4, 1.4, (6, 5, 2)), rng.integers(0, 2, (6, 5, 1))],
+                       {"wrap": "repeat"}),
+   doc="Where the four texels of a bilinear read stand in a list, from an image of the places, which count from 1; -1 if not covered.")
+op("sample_listed", "entries places uv", reads="texel own own", cost=40, ref=_sample_listed_ref,
+   infer=lambda name, inputs, attrs: (inputs[0].vtype, common_extent(name, inputs[1:])),
+   glsl="{ vec2 s_ = {uv} * vec2({width}, {height}) - 0.5; s_ -= floor(s_); ivec4 k_ = max({places}, ivec4(0));\n"
+        "    {type} t00_ = {entries_at}(k_.x), t10_ = {entries_at}(k_.y), t01_ = {entries_at}(k_.z), t11_ = {entries_at}(k_.w);\n"
+        "    {y} = {places}.x >= 0 ? " + _BILINEAR + " : {type}(0); }",
+   sample=lambda rng: ([rng.normal(size=(3, 4, 3)), rng.integers(-1, 12, (6, 5, 4)), rng.uniform(-0.4, 1.4, (6, 5, 2))],
+                       {"width": 5, "height": 7}),
+   doc="sample_exact of a texture of width x height, of which the texels in use stand in a list; zero where a place is -1.")
 
 
 # ---- which texels a pixel reads
@@ -80,7 +128,7 @@ def _footprint_ref(uv, covered, width, height, wrap):
     return np.concatenate([np.where(covered != 0, base % size, [-1, 0]), s - base], 2)
 
 
-_FOOTPRINT = {
+_ROUNDED = {
     "repeat": """{ vec2 s_ = {uv} * vec2({width}, {height}) - 0.5, b_ = floor(s_);
     ivec2 z_ = ivec2({width}, {height});
     {y} = vec4((ivec2(clamp(b_, -2e9, 2e9)) % z_ + z_) % z_, s_ - b_); if ({covered} == 0) {y}.xy = vec2(-1.0, 0.0); }""",
@@ -88,7 +136,7 @@ _FOOTPRINT = {
     {y} = vec4(floor(s_), fract(s_)); if ({covered} == 0) {y}.xy = vec2(-1.0, 0.0); }""",
 }
 op("texture_footprint", "uv covered", infer=_footprint_infer, ref=_footprint_ref, cost=30,
-   glsl=lambda node: _FOOTPRINT[node.attrs["wrap"]],
+   glsl=lambda node: _ROUNDED[node.attrs["wrap"]],
    sample=lambda rng: ([rng.uniform(-1, 2, (6, 5, 2)), rng.integers(0, 2, (6, 5, 1))],
                        {"width": 8, "height": 3, "wrap": "repeat"}),
    doc="(x, y) of the lower texel of a bilinear read and the fractions towards the next, which wraps; x = -1 if not covered. "
@@ -238,7 +286,7 @@ op("texture_list", "rows bins ordered footprint", reads="texel texel texel texel
 
 # ---- the transpose itself
 
-def _gather_ref(g, rows, entries, across, down):
+def _lanes_ref(g, rows, entries, across, down):
     g, entries = g.reshape(-1, g.shape[2]), entries.reshape(-1, 2)
     out = np.zeros((rows.shape[0] * down, rows.shape[1] * across, g.shape[1]))
     for y, x in np.ndindex(out.shape[:2]):
@@ -250,20 +298,27 @@ def _gather_ref(g, rows, entries, across, down):
     return out
 
 
-def _gather_infer(name, inputs, attrs):
+def _lanes_infer(name, inputs, attrs):
     e = inputs[1].extent
     return inputs[0].vtype, image(e.width * attrs["across"], e.height * attrs["down"])
 
 
 def _gather_sample(rng):
     chain = _ordered(rng)
-    return [rng.normal(size=(6, 5, 3)), chain[3], chain[4]], {"across": 2, "down": 1}
+    return [rng.normal(size=(6, 5, 3)), chain[3], chain[4]]
 
 
-op("texture_gather", "g rows entries", sums=(0,), infer=_gather_infer, reads="texel texel texel", ref=_gather_ref, cost=60,
-   sample=_gather_sample,
+_ENTRY = "{ vec2 e_ = {entries_at}(k_);"
+_ADD = "{y} += e_.y * {g_at}(int(e_.x));"
+op("texture_gather", "g rows entries", sums=(0,), reads="texel own texel", ref=lambda g, rows, entries: _lanes_ref(g, rows, entries, 1, 1),
+   infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[1].extent), cost=60, absorbs_empty=(1,),
+   sample=lambda rng: (_gather_sample(rng), {}),
+   loop=Loop("for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) " + _ENTRY, _ADD),
+   doc="For each texel the sum of weight x g over its entries; no second derivative.")
+op("texture_gather_lanes", "g rows entries", sums=(0,), infer=_lanes_infer, reads="texel texel texel", ref=_lanes_ref, cost=60,
+   sample=lambda rng: (_gather_sample(rng), {"across": 2, "down": 1}),
    loop=Loop("""{ ivec2 r_ = {rows}({p} / ivec2({across}, {down}));
     int c_ = (r_.y - r_.x + {across} * {down} - 1) / ({across} * {down});
     int k_ = min(r_.x + ({p}.y % {down} * {across} + {p}.x % {across}) * c_, r_.y), z_ = min(k_ + c_, r_.y);
-    for (; k_ < z_; ++k_) { vec2 e_ = {entries_at}(k_);""", "{y} += e_.y * {g_at}(int(e_.x));", "} }"),
-   doc="For each texel the sum of weight x g over its entries, by across x down lanes a texel; no second derivative.")
+    for (; k_ < z_; ++k_) """ + _ENTRY, _ADD, "} }"),
+   doc="texture_gather by across x down lanes a texel, to be summed.")

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from ...cache.errors import InputError
-from ..functions import clamp, maximum, minimum, select, sqrt, to_float
+from ..functions import clamp, compose, maximum, minimum, select, sqrt, to_float
 from ..ir import UNIT, Node
 from ..optable import apply, as_node
 from ..program import Program
@@ -127,11 +127,14 @@ class Adam:
         _check(program, name, parameter, gradient, step)
         (beta1, beta2), (m_name, v_name) = self.betas, (f"{name}.adam_m", f"{name}.adam_v")
         g = gradient if mask is None else gradient * mask
-        m = _moment(program, m_name, name) * _decay(step, beta1, g) + g * (1.0 - beta1)
-        v = _moment(program, v_name, name) * _decay(step, beta2, g) + g * g * (1.0 - beta2)
-        t = to_float(step + 1)
+        t, later = to_float(step + 1), step > 0
         # rate (m / c1) / (sqrt(v / c2) + epsilon), with the scalars drawn together
         root = sqrt(one_minus_power(beta2, t))
         size = self.rate.node(step) * root / one_minus_power(beta1, t)
-        moved = parameter - m * size / (sqrt(v) + root * self.epsilon)
+        # one image of one texel, not four: every texel of the parameter reads it
+        decays = select(later, beta1, 0.0), select(later, beta2, 0.0)
+        scalars = apply("broadcast", compose(*decays, size, root * self.epsilon), extent=g.extent)
+        m = _moment(program, m_name, name) * scalars.x + g * (1.0 - beta1)
+        v = _moment(program, v_name, name) * scalars.y + g * g * (1.0 - beta2)
+        moved = parameter - m * scalars.z / (sqrt(v) + scalars.w)
         return {name: _limit(moved, low, high), m_name: m, v_name: v}

@@ -35,7 +35,7 @@ def sample_texture(texture: Node, uv: Node, wrap: str = "repeat", gradient: str 
     if gradient == "none":
         color = apply("sample", texture, uv, wrap=wrap)
     elif gradient == "exact":
-        color = apply("sample_exact", texture, uv, mask, wrap=wrap)
+        return apply("sample_exact", texture, uv, mask, wrap=wrap)
     else:
         color = apply("sample_inverse", texture, uv, mask, step, wrap=wrap)
     return color if covered is None else select(covered, color, 0.0)
