@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         images = target(mesh, cameras, Path(folder), options)
         try:
             for atlas in (64, 128) if options.quick else (512, 1024, 2048, 4096):
-                for way in ("exact", "dense", "inverse_uv") if atlas < 4096 else ("exact", "dense"):
+                for way in ("exact", "dense", "inverse_uv") if atlas < 4096 else ("exact",):
                     case = f"{name}, six views {size}x{size}, atlas {atlas}, {way}"
                     if options.only not in case:
                         continue

@@ -299,6 +299,7 @@ def test_why_every_texel_is_updated_is_told(gpu):
         return fit
 
     assert told(Fit(), sparse_texels=MIN_TEXELS) == {"fit": {"texture": f"every texel is updated: it has 220; lists begin at {MIN_TEXELS}"}}
+    assert told(Fit(size=(4096, 2048)))["fit"]["texture"].endswith("it has 8388608; lists end at 4194304, for they have room for all")
     assert told(Fit(), cache=False) == told(Fit(), naive=True) == told(Fit(), sparse_texels=None) == {}
     for made, why in ((regularized, "its update moves texels without gradient"), (watched, "more reads it than samples do"),
                       (moving, "where it is sampled changes while the phase runs")):

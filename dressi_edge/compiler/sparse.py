@@ -23,6 +23,7 @@ from .simplify import simplify
 from .specialize import dependence
 
 MIN_TEXELS = 1 << 17  # below, updating every texel costs less than what the lists do to the start
+MAX_TEXELS = 1 << 22  # above, the copies, which have room for every texel, would be more memory than many devices have
 STRIP = 16  # rows of a column of the list that are drawn as one
 
 
@@ -60,6 +61,8 @@ def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[lis
             try:
                 if texels < least:
                     raise _Dense(f"it has {texels}; lists begin at {least}")
+                if texels > MAX_TEXELS:
+                    raise _Dense(f"it has {texels}; lists end at {MAX_TEXELS}, for they have room for all")
                 if texels != extent.count:
                     raise _Dense("it is a table with padding")
                 if len(phases) > 1:
