@@ -110,13 +110,13 @@ def test_every_file_has_the_mode_that_umask_asks_for(tmp_path, mask):
     old = os.umask(mask)
     try:
         save_json(tmp_path / "a.json", {})
-        bundle.write(tmp_path / "a.dressi", {}, [])
+        bundle.write(tmp_path / "a.dressi", {"images": [], "values": []}, [])
         checkpoint.write(tmp_path / "a.checkpoint", [b""])
         write_file(tmp_path / "a.txt", b"")
         for _ in range(2):  # new, and in place of another
             assert {f.name: oct(f.stat().st_mode & 0o777) for f in tmp_path.iterdir()} == dict.fromkeys(
                 ("a.json", "a.dressi", "a.checkpoint", "a.txt"), oct(0o666 & ~mask))
-            bundle.write(tmp_path / "a.dressi", {}, [])
+            bundle.write(tmp_path / "a.dressi", {"images": [], "values": []}, [])
     finally:
         os.umask(old)
 
