@@ -58,6 +58,7 @@ from dressi_edge.runtime.transfer import clear  # noqa: E402
 HARD = Softness(1.0, delta=0.0)
 WARM = 20  # steps before any is timed
 COPY_WIDTH = 1024
+COPY_ROWS = 4096
 GATHERS = ("occupied", "segment_sum", "block_sum", "gather_sum", "weighted_gather_sum", "texture_gather", "texture_gather_lanes")
 PEAK = """
 import sys
@@ -174,10 +175,12 @@ class Case:
         raise SystemExit(f"{self.plan} draws no hard faces: the yardstick needs one layer")
 
     def copy(self) -> Callable[[], None]:
-        """Moves as many bytes as the step: half of them read, half written."""
+        """Moves as many bytes as the step: half of them read, half written, in pieces that any device has room for."""
         s = self.session
-        record = {"slots": 2, "format": FORMATS["R32G32B32A32_SFLOAT"], "width": COPY_WIDTH,
-                  "height": max(1, round(self.bytes / 2 / 16 / COPY_WIDTH)), "usage": USAGE_TRANSFER_SRC}
+        rows = max(1, round(self.bytes / 2 / 16 / COPY_WIDTH))
+        pieces = -(-rows // COPY_ROWS)
+        record = {"slots": 2, "format": FORMATS["R32G32B32A32_SFLOAT"], "width": COPY_WIDTH, "height": -(-rows // pieces),
+                  "usage": USAGE_TRANSFER_SRC}
         images = Images(s.device, [record], s._depth_format)
         self.closing.append(images)
         s._work.once(functools.partial(clear, images))
@@ -185,8 +188,9 @@ class Case:
         region = (whole, (0, 0, 0), whole, (0, 0, 0), (record["width"], record["height"], 1))
 
         def fill(commands: int) -> None:
-            vk.CmdCopyImage(commands, images.handles[0][0], vk.VK_IMAGE_LAYOUT_GENERAL, images.handles[0][1],
-                            vk.VK_IMAGE_LAYOUT_GENERAL, [region])
+            for _ in range(pieces):
+                vk.CmdCopyImage(commands, images.handles[0][0], vk.VK_IMAGE_LAYOUT_GENERAL, images.handles[0][1],
+                                vk.VK_IMAGE_LAYOUT_GENERAL, [region])
         return lambda: s._work.once(fill)
 
     def stages(self, runs: int) -> list[dict]:
