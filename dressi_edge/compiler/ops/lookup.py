@@ -217,7 +217,8 @@ for _name, _glsl, _test, _what in (("occupied", ">= 0", lambda x: x >= 0, "index
        infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
        glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
     {y} = 0;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) if ({index}(ivec2(a_, b_)) TEST) {y} = 1; }""".replace(
+    for (int b_ = lo_.y; b_ < hi_.y && {y} == 0; ++b_)
+    for (int a_ = lo_.x; a_ < hi_.x && {y} == 0; ++a_) {y} = {index}(ivec2(a_, b_)) TEST ? 1 : 0; }""".replace(
            "TEST", _glsl),
        sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
        doc=f"1 for each tile of width x height pixels in which some {_what}.")
