@@ -206,11 +206,11 @@ class Session:
         """Give an input or state a new value: an array of `shape(name)`. InputError for a wrong shape, type, NaN, Inf, or
         numbers that are infinite in fp32, or in fp16 if it is stored so."""
         value = self._value(name, ("input", "state"))
-        half = self._d["images"][value["image"]]["format"] in HALF_FORMATS
-        pixels = self._layouts[name].to_image(array, name, half)
+        stored = self._stored(value)
+        pixels = self._layouts[name].to_image(array, name, stored is np.float16)
         if CHANNELS[value["type"]] == 3:
             pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
-        self._put({name: np.ascontiguousarray(pixels, np.float16 if half else KIND[is_int(value["type"])])})
+        self._put({name: np.ascontiguousarray(pixels, stored)})
 
     def _changes(self, names) -> list:
         """What is true once these values are new."""
@@ -228,10 +228,13 @@ class Session:
     def get(self, name: str) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
         value = self._value(name, ("input", "state", "output"))
-        image, kind = self._d["images"][value["image"]], KIND[is_int(value["type"])]
-        stored = np.float16 if image["format"] in HALF_FORMATS else kind
-        pixels = np.frombuffer(self._get(value), stored).reshape(image["height"], image["width"], -1)
-        return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).astype(kind)
+        image = self._d["images"][value["image"]]
+        pixels = np.frombuffer(self._get(value), self._stored(value)).reshape(image["height"], image["width"], -1)
+        return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).astype(KIND[is_int(value["type"])])
+
+    def _stored(self, value: dict) -> type:
+        """The numbers in its image."""
+        return np.float16 if self._d["images"][value["image"]]["format"] in HALF_FORMATS else KIND[is_int(value["type"])]
 
     @_serial
     def _get(self, value: dict) -> bytes:

@@ -37,6 +37,7 @@ from ..ops.reduce import TILE
 from ..topology import Topology
 
 MAX_LAYERS = 5
+GUARDED = (TILE, TILE // 2)  # pixels of the tiles that are drawn or not
 BIN = (8, 4)  # pixels of the bins that say what of the mesh may be left out
 # Twice the area of a face over the square of its size as seen from the pixel: below this it is rounding noise, as is its inverse.
 DEGENERATE = 1e-6
@@ -139,6 +140,16 @@ def _boxes(low: Node, high: Node, exists: Node, reach: float, view: Node, atlas:
     return select(exists, box, 0)
 
 
+def _around(segments: Node, exists: Node, reach: float, view: Node, atlas: Atlas) -> Node:
+    """`_boxes` of screen segments."""
+    return _boxes(minimum(segments.xy, segments.zw), maximum(segments.xy, segments.zw), exists, reach, view, atlas)
+
+
+def _listed(boxes: Node, bins: Node, each: int) -> Compact:
+    """The boxes with pixels in a marked bin."""
+    return compact(apply("meets_tiles", boxes, bins, tile=BIN), each)
+
+
 @dataclass(frozen=True)
 class Layer:
     """One peel: global face index (-1 none), hard flag, signed distance in pixels, probability (0 where there is none), and the
@@ -163,6 +174,7 @@ class _Rasterized:
         self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
         self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
                      "face_count": len(topology.faces), "near": float(near), **self.cells}
+        self.front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
 
     def _nearest(self, segment: Node, hard: Node) -> tuple[Node, Node]:
         """Signed distance of the pixel to its segment, and the point of the face nearest to it."""
@@ -253,19 +265,17 @@ class Outline(_Rasterized):
         count, r = len(topology.edges), float(softness.r)
         folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
                       edge_count=count, vertices=topology.vertex_count)
-        front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
-        gaps = apply("vacant", front, width=BIN[0], height=BIN[1])
-        near_gap = _boxes(minimum(folds.xy, folds.zw), maximum(folds.xy, folds.zw), folds.x < 1e8, r + 1.75, self._view(count), atlas)
-        edges = compact(apply("meets_tiles", near_gap, gaps, tile=BIN), each=6)  # outline for no pixel: folds in front of other faces
+        gaps = apply("vacant", self.front, width=BIN[0], height=BIN[1])  # away from them a fold is outline for no pixel
+        edges = _listed(_around(folds, folds.x < 1e8, r + 1.75, self._view(count), atlas), gaps, each=6)
         segments = edges.gather(self.segments)
         fixed = stop_gradient(segments)
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
-        boxes = _boxes(minimum(fixed.xy, fixed.zw), maximum(fixed.xy, fixed.zw), exists, r + 0.05, view, atlas)
+        boxes = _around(fixed, exists, r + 0.05, view, atlas)
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
-        slot = apply("rasterize_segments", fixed, edges.entries, front, edges.running, **listed)
-        tiles = apply("occupied", slot, width=TILE, height=TILE // 2)
-        slot = apply("inside_tiles", slot + 1, tiles, tile=(TILE, TILE // 2)) - 1  # so that guards see where it is -1
-        hard = front >= 0
+        slot = apply("rasterize_segments", fixed, edges.entries, self.front, edges.running, **listed)
+        tiles = apply("occupied", slot, width=GUARDED[0], height=GUARDED[1])
+        slot = apply("inside_tiles", slot + 1, tiles, tile=GUARDED) - 1  # so that guards see where it is -1
+        hard = self.front >= 0
         segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r, channel=0)
         beside = slot >= 0
         dist, point = self._nearest(segment, hard)
@@ -273,7 +283,7 @@ class Outline(_Rasterized):
         far = np.array((2, 0, 1))[(topology.face_edges[first] == np.arange(count)[:, None]).argmax(axis=1)]
         owner = lookup(constant_table(first * 4 + far), select(exists, edges.entries - view * count, 0)) + view * (4 * len(topology.faces))
         shown = lookup(owner, slot)
-        face = select(hard, front, select(beside, apply("shift_right", shown, 2), -1))
+        face = select(hard, self.front, select(beside, apply("shift_right", shown, 2), -1))
         probability = select(beside, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
         self.layers = [Layer(face, hard, dist, probability, point, select(hard, 3, apply("bit_and", shown, 3)))]
 
@@ -295,13 +305,11 @@ class Layers(_Rasterized):
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
         super().__init__(clip, topology, atlas, softness, near)
-        self.front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
-        tile = (TILE, TILE // 2)
-        tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=tile)
-        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": tile}
+        tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=GUARDED)
+        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": GUARDED}
         across = apply("covered_window", self.front, tiles, dx=softness.reach, dy=0, **window)
         mask = apply("edge_mask", across, tiles, dx=0, dy=softness.reach, **window)
-        self.edge_mask = apply("inside_tiles", mask, tiles, tile=tile)  # guards do not see what is absent behind an image
+        self.edge_mask = apply("inside_tiles", mask, tiles, tile=GUARDED)  # guards do not see what is absent behind an image
         self.bins = apply("marked", mask, width=BIN[0], height=BIN[1])
         codes = [select(self.edge_mask, code, -1) for code in self._peels()]
         codes[0] = select(codes[0] >= 0, codes[0], select(self.front >= 0, self.front * 2 + 1, -1))
@@ -309,12 +317,9 @@ class Layers(_Rasterized):
                        self.edge_mask, face_count=len(topology.faces), edge_count=len(topology.edges)) for code in codes]
         self.layers = [self._layer(*of) for of in zip(codes, edges, self._segments_of(edges))]
 
-    def _near_mask(self, boxes: Node, each: int) -> Compact:
-        return compact(apply("meets_tiles", boxes, self.bins, tile=BIN), each)
-
     def _peels(self) -> list[Node]:
         """The codes of each layer; of use in the edge mask alone."""
-        listed = self._near_mask(self.face_boxes, each=6)
+        listed = _listed(self.face_boxes, self.bins, each=6)
         inputs = self.clip, constant_table(self.topology.sorted_faces), listed.entries, listed.running
         attrs = {**self.draw, "radius": float(self.softness.r), "slots": listed.entries.extent.count}
         if self.softness.layers == 1:
@@ -328,8 +333,8 @@ class Layers(_Rasterized):
         """The segment of each layer's edge. No pixel of the mask is further from it than `reach`."""
         count, s = len(self.topology.edges), stop_gradient(self.segments)
         reach = max(self.softness.r, math.sqrt(2) * self.softness.reach) + 0.05
-        boxes = _boxes(minimum(s.xy, s.zw), maximum(s.xy, s.zw), s.x < 1e8, reach, self._view(count), self.atlas)
-        listed = self._near_mask(boxes, each=1)
+        boxes = _around(s, s.x < 1e8, reach, self._view(count), self.atlas)
+        listed = _listed(boxes, self.bins, each=1)
         segments = listed.gather(self.segments)
         where = listed.gather(boxes), stop_gradient(segments), self._center(apply("idiv", listed.entries, count))
         slots = [select(edge >= 0, lookup(listed.slots, edge), -1) for edge in edges]
