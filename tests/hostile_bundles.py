@@ -220,7 +220,7 @@ ROWS = [
     ("leave_type", "copies", [("plans[2].updates", [0, 3])], "plans[2]: after the enter plans[1] a plan is needed that updates states of"),
     ("leave_needs", "copies", [("plans[2].needs", [0])], "plans[2]: after the enter plans[1] a plan is needed that"),
     ("leave_reads", "copies", [("plans[2].reads", [7, 8, 1])], "plans[2] reads 'uv'; what comes after an enter reads its copies alone"),
-    ("leave_clears", "copies", [("passes[7].attachments[0].load", 1)],
+    ("leave_clears", "copies", [("passes[8].attachments[0].load", 1)],
      "plans[2].stages[0].attachments[0]: what comes after an enter loads the states that it updates"),
     ("leave_next", "copies", [("plans[2].stages[0].attachments[0]", 43)], "plans[2].stages[0].attachments[0]: image 21 is not for this"),
     ("leave_needed", "copies", [("plans[4].needs", [0, 1, 2])], "plans[4].needs[2]: plans[2] updates something"),

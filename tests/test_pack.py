@@ -16,7 +16,8 @@ from dressi_edge.cache.errors import PackError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe, pack
-from dressi_edge.compiler.functions import apply
+from dressi_edge.compiler.autodiff import gradients
+from dressi_edge.compiler.functions import apply, constant_table, dot, mean, select, sigmoid, total
 from dressi_edge.compiler.ir import topological
 from dressi_edge.compiler.reference import evaluate
 from dressi_edge.compiler.simplify import lower, simplify
@@ -47,6 +48,36 @@ def test_packed_and_naive_are_the_reference_on_every_profile(gpu, seed):
     close(gpu.run(graph.program, graph.feed, naive=True), expected, "naive")
     for profile in PROFILES:
         close(gpu.run(graph.program, graph.feed, profile), expected, profile)
+
+
+# What is left out of a pass is cleared, unless nothing reads it
+
+
+@pytest.mark.parametrize("read, cleared", [(("sum",), 1), (("sum", "mean"), 2)], ids=["by name", "by more"])
+def test_what_is_read_only_where_something_is_named_is_not_cleared(gpu, read, cleared):
+    """The pixels' values, which a segment takes from those that name it: outside of the marked tiles nothing does."""
+    program, rng = Program(), np.random.default_rng(3)
+    pixels, kind = Layout("image", "int", 32, 32), Layout("table", "vec3", count=5)
+    names, table = program.input("names", pixels), program.input("table", kind)
+    tiles = apply("occupied", names, width=16, height=16)
+    place = apply("inside_tiles", names + 1, tiles, tile=(16, 16))
+    box = constant_table(np.tile([0, 0, 32, 32], (5, 1)))
+    near = apply("lookup_near", table, place, box, constant_table(np.full((5, 4), 16.0)), constant_table(np.zeros((5, 2))), reach=99.0,
+                 channel=0)
+    values = sigmoid(near) * sigmoid(near * 0.25)
+    outside = select(place > 0, values, 0.0)
+    outputs = {"sum": (gradients(total(dot(outside, outside)), [table])[0], kind), "mean": (mean(outside), Layout("unit", "vec3"))}
+    program.plan("all", {}, {name: outputs[name] for name in read})
+    picked = np.where((np.arange(32) < 11)[:, None] & (np.arange(32) > 20), rng.integers(-1, 5, (32, 32)), -1)
+    feed = {"names": picked, "table": rng.normal(size=(5, 3))}
+    description, _ = describe(program, Profile.load("lavapipe"))
+    guarded = [stage for stage in description["plans"][0]["stages"] if stage["width"] == 32]
+    loads = [a["load"] for stage in guarded for a in description["passes"][stage["pass"]]["attachments"]]
+    assert loads.count(v.LOAD_CLEAR) == cleared and loads.count(v.LOAD_DONT_CARE) == 1
+    found = gpu.run(program, feed)
+    images = {name: program.values[name].layout.to_image(x, name) for name, x in feed.items()}
+    for name, want in zip(read, evaluate([outputs[name][0] for name in read], images)):
+        np.testing.assert_allclose(found[name], outputs[name][1].from_image(want), rtol=1e-5, atol=1e-5)
 
 
 # What a pass may ask of a device, counted from the description that the runtime reads
@@ -248,7 +279,8 @@ BUILD = """
 import sys
 from graphs import Graph
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.functions import apply
+from dressi_edge.compiler.autodiff import gradients
+from dressi_edge.compiler.functions import apply, constant_table, dot, mean, select, sigmoid, total
 if sys.argv[2] == "later":  # other nodes first: addresses and serial numbers differ
     others = [Graph(k).program for k in range(90, 93)]
 graph = Graph(4, 40)

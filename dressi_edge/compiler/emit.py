@@ -15,7 +15,6 @@ from .ir import UNIT, Extent, Node, is_int
 from .ops.leaf import literal_glsl
 from .optable import COUNT, FILTERED, OWN, TILE, VERTEX
 from .pack import Substage
-from .sparse import STRIP
 
 FORMATS = {"float": "R32_SFLOAT", "vec2": "R32G32_SFLOAT", "vec3": "R32G32B32A32_SFLOAT", "vec4": "R32G32B32A32_SFLOAT",
            "int": "R32_SINT", "ivec2": "R32G32_SINT", "ivec3": "R32G32B32A32_SINT", "ivec4": "R32G32B32A32_SINT"}
@@ -29,15 +28,19 @@ FULLSCREEN = _HEAD + """void main() {
 """
 
 
-_TILE = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
-ivec2 at = {at};
+_CORNER = "vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);\n"
+_PLACE = "gl_Position = vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0);\n"
+TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+ivec2 at = ivec2(tile % {across}, tile / {across});
 vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
-vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);
+""" + _CORNER + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 """
-TILES = _TILE + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
-"""
-STRIPS = _TILE + """gl_Position = vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0);
-"""
+# Of a list: the columns that are full, then the one that is not.
+LISTED = """int corner = gl_VertexIndex % 6, full = {entries} / ({column} * {h}), rest = {entries} - full * {column} * {h};
+bool last = gl_VertexIndex >= 6;
+vec2 low = vec2(last ? full * {column} : 0, 0);
+vec2 high = vec2((last ? full + 1 : full) * {column}, last ? (rest + {column} - 1) / {column} : {h});
+""" + _CORNER + _PLACE
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,15 @@ class _Emitter:
                 key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, ATTACHMENT if x in inner else SAMPLED, "")
                 if key not in self.slots:
                     self.slots[key] = len(self.bindings)
-                    tiled = x is self.tiled
-                    self.bindings.append(Binding(x, key[1], x in vertex or tiled, x in fragment and not tiled, key[2]))
+                    self.bindings.append(Binding(x, key[1], x in vertex, x in fragment and x is not self.tiled, key[2]))
         self.values: dict[Node, str] = {}
         self.own: dict[int, None] = {}
+
+    def bind_vertex(self, x: Node) -> int:
+        """The binding of an image that the vertex shader of a substage reads, too."""
+        slot = self.slots.setdefault((x, SAMPLED, ""), len(self.bindings))
+        self.bindings[slot:slot + 1] = [Binding(x, SAMPLED, True, slot < len(self.bindings) and self.bindings[slot].fragment)]
+        return slot
 
     def declarations(self, vertex: bool) -> list[str]:
         lines = []
@@ -250,26 +258,25 @@ class _Emitter:
 
 
 def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
-         inner: Collection[Node] = (), count: Node | None = None) -> tuple[list[DrawCode], list[Binding]]:
+         inner: Collection[Node] = (), total: Node | None = None) -> tuple[list[DrawCode], list[Binding]]:
     """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
-    read as input attachments, written by an earlier subpass of the same render pass. With `count` only so many vertices' strips of
-    `sparse.STRIP` rows of a column are."""
+    read as input attachments, written by an earlier subpass of the same render pass. `total`: the
+    extent is that of a list, and its last texel says how many entries there are; no others are drawn."""
     e = _Emitter(stage, profile, guard, inner)
     if not stage.raster:
         fragment = e.fragment(e.pixel_body(guard), [])
-        if count is not None:
-            x, strips = stage.extent, -(-stage.extent.height // STRIP)
-            body = _mark(STRIPS, {"at": f"ivec2(tile / {strips}, tile % {strips})", "tw": x.column, "th": STRIP,
-                                  "w": x.width, "h": x.height})
-            vertex = "\n".join([_HEAD + "void main() {", body, "}", ""])
-            return [DrawCode(vertex, fragment, 6 * strips * (x.width // x.column), count=count)], e.bindings
-        if guard is None or guard.tile is None:
+        names = {"w": stage.extent.width, "h": stage.extent.height, "column": stage.extent.column}
+        if total is not None:
+            names["entries"] = f"T{e.bind_vertex(total)}(ivec2({total.extent.width - 1}, {total.extent.height - 1}))"
+            text, vertices = LISTED, 12
+        elif guard and guard.tile:
+            tiles = guard.node.extent
+            names |= {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "tiles": f"T{e.bind_vertex(guard.node)}"}
+            text, vertices = TILES, 6 * tiles.count
+        else:
             return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
-        slot, tiles = e.slots[guard.node, SAMPLED, ""], guard.node.extent
-        body = _mark(TILES, {"at": f"ivec2(tile % {tiles.width}, tile / {tiles.width})", "tw": guard.tile[0], "th": guard.tile[1],
-                             "w": stage.extent.width, "h": stage.extent.height, "tiles": f"T{slot}"})
-        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", body, "}", ""])
-        return [DrawCode(vertex, fragment, 6 * tiles.count)], e.bindings
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", _mark(text, names), "}", ""])
+        return [DrawCode(vertex, fragment, vertices)], e.bindings
     node = stage.nodes[0]
     e.values[node] = "v0"
     attrs, draws = node.attrs, []

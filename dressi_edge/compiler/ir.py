@@ -29,7 +29,7 @@ def vector_type(channels: int, integer: bool = False) -> str:
 
 @dataclass(frozen=True)
 class Extent:
-    """Size of an image; texels from `count` on (row-major) are padding. partial: the number of a list (`compiler/sparse.py`) that
+    """Size of an image; texels from `count` on (row-major) are padding. partial: the number of a list (`ops/compact.py`) that
     fills the first texels, how many is known on the device alone; 0: of none."""
 
     width: int

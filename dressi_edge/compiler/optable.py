@@ -8,8 +8,8 @@ elsewhere two functions: `{name}(ivec2)` the texel, `{name_at}(index)` the entry
 `{i}` the own texel's row-major index and `{p}` its ivec2. A snippet may be a function of the node where types decide.
 
 An input read by tile is a coarser image, one texel for each `attrs["tile"]` = (width, height) texels of the result: where it is zero
-the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count is that of
-a raster op's `Draw.count`.
+the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count is
+looked at on the way to the draw alone: that of a raster op's `Draw.count`, or how many entries a list has (`ops/compact.py`).
 """
 from __future__ import annotations
 
@@ -81,6 +81,7 @@ class Op:
     listed: Callable | None = None  # of a node: `Listed`
     absent: tuple[tuple[int, int], ...] = ()  # (input, result): what the result is where that input is zero
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/storage.py)
+    named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
     size: Callable | None = None  # (node, sizes of its inputs) -> log2 of its usual magnitude; None: that of the largest float
     sample: Callable | None = field(default=None, compare=False)
     doc: str = ""

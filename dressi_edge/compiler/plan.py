@@ -17,12 +17,14 @@ from ..cache.profile import Profile
 from . import emit, spirv
 from .guard import find_guard
 from .ir import CHANNELS, Extent, Node, is_int, topological
-from .optable import apply
+from .optable import COUNT, VERTEX, apply
 from .pack import Stage, merged_reads, pack
 from .program import PlanSpec, Program
 from .simplify import lower, simplify
 from .sparse import MIN_TEXELS, Lists, find_lists
 from .specialize import prepare, specialize
+
+MAX_ROWS = 16384
 
 
 def format_number(node: Node) -> int:
@@ -127,13 +129,18 @@ class Assembler:
         """The plans of a group, their roots, and the lists on which they work."""
         rooted, lists = [simplify(lower([*spec.updates.values(), *spec.outputs.values()])) for spec in specs], []
         if self.sparse_texels is not None:
-            lists, rooted, told = find_lists(self.program, specs, rooted, self.sparse_texels)
+            lists, rooted, told = find_lists(self.program, specs, rooted, self.sparse_texels, self._rows())
             self.texels |= {spec.name: told for spec in specs if spec.updates and told}
         names = {name: copy.attrs["name"] for x in lists for name, copy in x.copies.items()}
         self.copies |= {copy.attrs["name"]: (copy, x.layout(copy)) for x in lists for copy in x.copies.values()}
         specs = [replace(spec, dynamic=spec.dynamic.union(names.values()),
                          updates={names.get(name, name): node for name, node in spec.updates.items()}) for spec in specs]
         return specs, rooted, lists
+
+    def _rows(self) -> int:
+        """The most rows of an image to draw to that the profile allows and that devices are known to have."""
+        limit = self.profile.limit
+        return min(limit("maxImageDimension2D"), limit("maxFramebufferHeight"), limit("maxViewportDimensions")[1], MAX_ROWS)
 
     def _group(self, specs: list[PlanSpec], rooted: list[list[Node]], lists: list[Lists]) -> None:
         """The plans of a group, after those that compute what they share and nothing of theirs changes."""
@@ -148,14 +155,14 @@ class Assembler:
                 self.prepared.update(dict.fromkeys(leaves, len(self.plans) - 1))
             for x, roots in zip(lists, entered):
                 self._list(specs[0].group, x, roots)
-        counts = {x.extent: x.count for x in lists}
+        totals = {x.extent: x.total for x in lists}
         for spec, roots in zip(specs, rooted):
-            self._plan(spec, roots, self._needs(roots), counts)
+            self._plan(spec, roots, self._needs(roots), totals)
 
     def _list(self, group: str, x: Lists, entered: list[Node]) -> None:
         """The plan that fills a list and the copies of its states, and the one that puts them back, in place."""
         copies = [copy.attrs["name"] for copy in x.copies.values()]
-        number = x.extent.partial if x.extent.partial > 1 else ""
+        number = x.number if x.number > 1 else ""
         needs = self._needs(entered)
         self._run(f"{group}.enter{number}", entered, [(self.leaf(leaf), int(leaf.op.name == "state")) for leaf in x.enter], copies, [],
                   0, needs)
@@ -169,7 +176,7 @@ class Assembler:
         direct = {self.prepared[n] for n in topological(roots) if n in self.prepared}
         return sorted(direct.union(*(self.plans[k]["needs"] for k in direct)))
 
-    def _plan(self, spec: PlanSpec, roots: list[Node], needs: list[int], counts: dict[Extent, Node]) -> None:
+    def _plan(self, spec: PlanSpec, roots: list[Node], needs: list[int], totals: dict[Extent, Node]) -> None:
         names = [*spec.updates, *spec.outputs]
         targets, distinct, seen = [], [], set()
         for name, root in zip(names, roots):
@@ -188,31 +195,35 @@ class Assembler:
                     self.outputs[name] = self.new_image(v.FORMATS[emit.FORMATS[layout.vtype]], *layout.size)
                     self.images[self.outputs[name]]["usage"] |= v.USAGE_TRANSFER_SRC
                 targets.append((self.outputs[name], 0))
-        self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs, counts)
+        self._run(spec.name, distinct, targets, list(spec.updates), list(spec.outputs), spec.steps, needs, totals)
 
-    def _run(self, name, roots, targets, updates, outputs, steps, needs=(), counts=None, in_place=False) -> None:
-        """A plan. counts: of extents that are lists, what says how much of them there is to draw. in_place: what a guard leaves out
-        keeps what the targets held."""
+    def _run(self, name, roots, targets, updates, outputs, steps, needs=(), totals=None, in_place=False) -> None:
+        """A plan. totals: of extents of lists that were made before, what says how many entries there are. in_place: what a guard leaves
+        out keeps what the targets held."""
         stages = pack(roots, self.profile, self.naive, self.stage_packing)
+        totals = {**(totals or {}), **_totals(stages)}
         self.stage_lists.append((name, stages))
         place = dict(zip(roots, targets))
         last_read: dict[Node, int] = {}
         reads: dict[str, None] = {}
         for k, stage in enumerate(stages):
+            if stage.extent in totals:
+                last_read[totals[stage.extent]] = k
             for s in stage.substages:
                 for x, _ in s.reads:
                     last_read[x] = k
                     if x.op.name in ("input", "state"):
                         reads[x.attrs["name"]] = None
-        records, hazards = [], _Hazards()
+        records, hazards, unread = [], _Hazards(), _Unread(roots, stages)
         for k, stage in enumerate(stages):
             for s in stage.substages:
                 for n in s.outputs:
                     if n not in place:
                         place[n] = (self._take(n), 0)
-            records.append(self._stage(stage, place, hazards, (counts or {}).get(stage.extent), in_place))
+            total = totals.get(stage.extent)
+            records.append(self._stage(stage, place, hazards, unread, total, in_place))
             for s in stage.substages:
-                for n in [*dict(s.reads), *s.outputs]:
+                for n in [*dict(s.reads), *s.outputs, *([total] if total else [])]:
                     if n in place and n not in roots and n.op.stage != "leaf" and last_read.get(n, k) == k:
                         key = (format_number(n), n.extent.width, n.extent.height)
                         if place[n][0] not in self.free.setdefault(key, []):
@@ -228,23 +239,25 @@ class Assembler:
         image, slot = place[node] if node in place else (self.leaf(node), 0)
         return 2 * image + slot
 
-    def _stage(self, stage: Stage, place: dict, hazards: _Hazards, count: Node | None, in_place: bool) -> dict:
+    def _stage(self, stage: Stage, place: dict, hazards: _Hazards, unread: _Unread, total: Node | None,
+               in_place: bool) -> dict:
         attachments: dict[int, dict] = {}
         subpasses, layouts, read_refs = [], [], set()
         depth = -1
         for number_in_pass, s in enumerate(stage.substages):
             colors = []
             inner = merged_reads(stage.substages[:number_in_pass], s)
-            guard = None if count else find_guard(s, 0) if in_place else find_guard(s)
-            clears = guard.constants if guard else (s.nodes[0].op.clear if s.raster else None,) * len(s.outputs)
+            guard = None if total else find_guard(s, 0) if in_place else find_guard(s)
+            clears = guard.constants if guard else [s.nodes[0].op.clear if s.raster else unread.after_the_last(n, total) for n in s.outputs]
             for n, clear in zip(s.outputs, clears):
                 ref = self._ref(n, place)
                 self.images[ref // 2]["usage"] |= v.USAGE_COLOR
-                load = v.LOAD_LOAD if in_place else v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR
+                dont_care = clear is None or guard and unread.outside(n, dict(zip(s.outputs, guard.constants)))
+                load = v.LOAD_LOAD if in_place else v.LOAD_DONT_CARE if dont_care else v.LOAD_CLEAR
                 attachments[ref] = {"format": format_number(n), "load": load,
-                                    "store": v.STORE_STORE, "clear": clear or 0}
+                                    "store": v.STORE_STORE, "clear": 0 if dont_care else clear}
                 colors.append(list(attachments).index(ref))
-            draws, bindings = emit.emit(s, self.profile, guard, inner, count)
+            draws, bindings = emit.emit(s, self.profile, guard, inner, total)
             refs = [self._ref(b.node, place) for b in bindings]
             inputs = []
             for b, ref in zip(bindings, refs):
@@ -301,6 +314,35 @@ class Assembler:
             cells = [[0, 0, stage.extent.width, stage.extent.height]]
         return {"pipeline": pipeline, "images": refs, "vertices": draw.vertices, "cells": cells, "depth_range": [0.0, 1.0],
                 "count": -1 if draw.count is None else self._ref(draw.count, place)}
+
+
+def _totals(stages: Sequence[Stage]) -> dict[Extent, Node]:
+    """Of the extents of lists that these stages make, what says how many entries there are."""
+    return {n.extent: x for stage in stages for s in stage.substages for n in s.nodes if n.extent.partial
+            for k, x in enumerate(n.inputs) if n.op.read(k) == COUNT}
+
+
+class _Unread:
+    """Which outputs of a substage nothing reads where they are left out."""
+
+    def __init__(self, roots: Sequence[Node], stages: Sequence[Stage]):
+        self.roots, self.reads = set(roots), {}
+        for n in (n for stage in stages for s in stage.substages for n in s.nodes):
+            for k, x in enumerate(n.inputs):
+                self.reads.setdefault(x, []).append((n, k))
+
+    def outside(self, x: Node, constants: dict[Node, int]) -> bool:
+        """Whether x, one of `constants`, the outputs and what they are where they are left out, is of use only where another of them
+        names something, which there it does not (`Op.named`)."""
+        def of_no_use(n: Node, k: int) -> bool:
+            mine, other, none = n.op.named or (-1, 0, 0)
+            return k == mine and constants.get(n.inputs[other]) == none
+        return x not in self.roots and all(of_no_use(n, k) for n, k in self.reads[x])
+
+    def after_the_last(self, x: Node, total: Node | None) -> int | None:
+        """What an output of a list has to be in the part that is not drawn: draws may run over all entries."""
+        drawn = x in self.roots or any(n.op.read(k) == VERTEX for n, k in self.reads[x])
+        return -1 if total and x.vtype == "int" and drawn else None
 
 
 class _Hazards:

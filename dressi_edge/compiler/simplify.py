@@ -50,7 +50,7 @@ RULES = {
     "stop_gradient": lambda x, n: x[0],
     "broadcast": lambda x, n: _as(x[0], n),
     "lookup_boxed": lambda x, n: apply("lookup", *x[:2]),  # what else these three take is for the transpose alone
-    "lookup_near": lambda x, n: apply("lookup", x[0], _channel(x[1], n.attrs["channel"])),
+    "lookup_near": lambda x, n: apply("lookup", x[0], _channel(x[1], n.attrs["channel"]) - 1),
     "lookup_unique": lambda x, n: apply("lookup", *x[:2]),
     "swizzle": lambda x, n: _swizzle(x[0], n),
     "shift_right": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,

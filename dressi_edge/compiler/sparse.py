@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cache.layout import Layout, table_size
+from ..cache.layout import Layout
 from .guard import constant_value
-from .ir import Extent, Node, intern, rebuild, topological
+from .ir import COLUMN, Extent, Node, intern, rebuild, topological
 from .ops.compact import compact
 from .optable import OWN, apply
 from .program import PlanSpec, Program
@@ -24,7 +24,6 @@ from .specialize import dependence
 
 MIN_TEXELS = 1 << 17  # below, updating every texel costs less than what the lists do to the start
 MAX_TEXELS = 1 << 22  # above, the copies, which have room for every texel, would be more memory than many devices have
-STRIP = 16  # rows of a column of the list that are drawn as one
 
 
 class _Dense(Exception):
@@ -33,24 +32,25 @@ class _Dense(Exception):
 
 @dataclass(frozen=True)
 class Lists:
-    """Of one extent. copies: by state name, the leaf that stands for it. enter: what fills the copies and the leaves that the other
-    plans read. leave: by state name, the value of its listed texels, zero elsewhere, where `places` is zero. count: the leaf that holds
-    how many vertices draw the used rows of `extent`."""
+    """Of one extent, `number` in its group from 1. copies: by state name, the leaf that stands for it. enter: what fills the copies and
+    the leaves that the other plans read. leave: by state name, the value of its listed texels, zero elsewhere, where `places` is zero.
+    total: the leaf whose last texel says how many entries there are."""
 
+    number: int
     extent: Extent
     copies: Mapping[str, Node]
     enter: Mapping[Node, Node]
     leave: Mapping[str, Node]
-    count: Node
+    total: Node
 
     def layout(self, copy: Node) -> Layout:
         return Layout("image", copy.vtype, self.extent.width, self.extent.height)
 
 
 def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[list[Node]],
-               least: int) -> tuple[list[Lists], list[list[Node]], dict[str, str]]:
-    """The lists of a group's plans, for images of at least so many texels; their new roots; and for each sampled image that its phase
-    updates: "listed", or why it is not."""
+               least: int, rows: int) -> tuple[list[Lists], list[list[Node]], dict[str, str]]:
+    """The lists of a group's plans, for images of at least so many texels, in images of at most so many rows; their new roots; and for
+    each sampled image that its phase updates: "listed", or why it is not."""
     lists, rooted, told = [], list(rooted), {}
     phases = [k for k, spec in enumerate(specs) if spec.updates]
     for k in phases:
@@ -68,7 +68,7 @@ def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[lis
                 if len(phases) > 1:
                     raise _Dense("several phases share its plans")
                 changing = specs[k].dynamic.union(copy.attrs["name"] for x in lists for copy in x.copies.values())
-                made, rooted = _Body(program, specs[k], rooted[k], changing, extent).lists(rooted, len(lists) + 1)
+                made, rooted = _Body(program, specs[k], rooted[k], changing, extent).lists(rooted, len(lists) + 1, rows)
                 lists.append(made)
             except _Dense as reason:
                 why = f"every texel is updated: {reason}"
@@ -76,12 +76,16 @@ def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[lis
     return lists, rooted, told
 
 
-def _list_extent(e: Extent, number: int) -> Extent:
-    """Room for every texel. No larger than the image where that is larger than any device allows."""
-    width, height = table_size(e.width * e.height)
-    if max(width, height) > max(e.width, e.height, 4096):
+def _list_extent(e: Extent, rows: int) -> Extent:
+    """Room for every texel: as narrow as a column if that needs at most so many rows, so that what lies in one column is as near in
+    memory as in number; else as wide as it must be, no wider than the image."""
+    width = COLUMN
+    while -(-e.width * e.height // width) > rows and width < e.width:
+        width *= 2
+    height = -(-e.width * e.height // width)
+    if height > rows:
         width, height = e.width, e.height
-    return Extent(width, height, width * height, partial=number)
+    return Extent(width, height, width * height)
 
 
 class _Body:
@@ -154,15 +158,16 @@ class _Body:
                 raise _Dense("its update moves texels without gradient")
         return rest
 
-    def lists(self, rooted: Sequence[list[Node]], number: int) -> tuple[Lists, list[list[Node]]]:
+    def lists(self, rooted: Sequence[list[Node]], number: int, rows: int) -> tuple[Lists, list[list[Node]]]:
         """The lists, and the roots of all plans that can read them instead of the states."""
-        extent, name = _list_extent(self.extent, number), f"{self.group}.list{number if number > 1 else ''}"
+        name = f"{self.group}.list{number if number > 1 else ''}"
         flags = [apply("greater", x.y, x.x) for x in self._empty()]
         flags += [apply("differs", s, self.rest.get(key, 0.0)) for key, s in self.states.items()]
         used = flags[0]
         for flag in flags[1:]:
             used = apply("bit_or", used, flag)
-        found = compact(used, 1, extent)
+        found = compact(used, 1, _list_extent(self.extent, rows))
+        extent = found.entries.extent
         enter: dict[Node, Node] = {}
         kept: dict[Node, Node] = {}
 
@@ -177,10 +182,7 @@ class _Body:
             copies[key] = intern(s.op, (), {**s.attrs, "name": f"{name}.{key}", "extent": extent}, s.vtype, extent)
             enter[copies[key]] = apply("lookup", s, found.entries)
         copy = {s: copies[key] for key, s in self.states.items()}
-        total = apply("lookup", found.running, found.running.extent.width * found.running.extent.height - 1)
-        column, strip = extent.column * extent.height, extent.column * STRIP
-        strips = apply("idiv", total, column) * -(-column // strip) + apply("idiv", apply("imod", total, column) + (strip - 1), strip)
-        count = keep(strips * 6)
+        total = keep(found.total)
         places = apply("add", found.slots, 1)
         put = keep(places)
 
@@ -206,7 +208,7 @@ class _Body:
                 result.append([new[root] for root in roots])
         back = apply("sub", put, 1)
         leave = {key: apply("select", put, apply("lookup", c, back), 0.0) for key, c in copies.items()}
-        return Lists(extent, copies, enter, leave, count), result
+        return Lists(number, extent, copies, enter, leave, total), result
 
 
 def _inputs(n: Node) -> list[tuple[Node, str]]:

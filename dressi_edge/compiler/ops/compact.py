@@ -1,11 +1,12 @@
 """Compaction: the entries that are set, as a dense list in ascending order, without atomics and without the host.
 
 A tree of counts over chunks of 64 entries is summed upwards; each slot of the list then descends it. The last texel of the running
-counts is the number of vertices to draw for all slots: draws over a list take it from there (`Draw.count`).
+counts is the number of vertices to draw for all slots: draws over a list take it from there (`Draw.count`). What is computed for each
+slot of a list is drawn only as far as there are entries.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,7 +53,7 @@ op("running_counts", "counts", infer=_chunks, reads="texel", ref=_running_ref, c
    doc="`each` times the sum of all entries up to the end of each chunk of 64; the last texel has the total.")
 
 
-def _first_ref(running, each, extent):
+def _first_ref(running, total, each, extent):
     ends = running.reshape(-1) // each
     slot = np.arange(extent.width * extent.height)
     chunk = np.searchsorted(ends, slot, side="right")
@@ -70,13 +71,15 @@ def _descend_ref(counts, at, count):
     return np.where(at[..., :1] < 0, (-1, 0), np.stack([child, rest], -1))
 
 
-op("first_chunk", "running", infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel", ref=_first_ref, cost=64,
+op("first_chunk", "running total", infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel count", ref=_first_ref,
+   cost=64,
    glsl="""{y} = ivec2(-1, 0);
 { int s_ = {i} * {each}, end_ = s_ < {running}(ivec2({running_w} - 1, {running_h} - 1)) ? {running_n} : 0, before_ = 0, k_ = 0;
   for (; k_ < end_; ++k_) { int c_ = {running_at}(k_); if (s_ < c_) break; before_ = c_; }
   if (end_ > 0) {y} = ivec2(k_, (s_ - before_) / {each}); }""",
-   sample=lambda rng: ([np.array([0, 9, 9, 21, 33, 33])[None, :, None]], {"each": 3, "extent": table(13)}),
-   doc="For each slot of a list the chunk that holds its entry, and which set entry of that chunk it is; -1 after the last.")
+   sample=lambda rng: ([np.array([0, 9, 9, 21, 33, 33])[None, :, None], np.array([[[11]]])], {"each": 3, "extent": table(13)}),
+   doc="For each slot of a list the chunk that holds its entry, and which set entry of that chunk it is; -1 after the last. What has the "
+       "extent of a list is drawn for as many entries as the last texel of `total` says.")
 op("descend", "counts at", infer=lambda name, inputs, attrs: ("ivec2", inputs[1].extent), reads="texel own", ref=_descend_ref, cost=64,
    glsl=f"""{{ int k_ = {{at}}.x * {CHUNK}, end_ = {{at}}.x < 0 ? k_ : min(k_ + {CHUNK}, {{count}}), rest_ = {{at}}.y;
   for (; k_ < end_; ++k_) {{ int c_ = {{counts_at}}(k_); if (rest_ < c_) break; rest_ -= c_; }}
@@ -112,12 +115,14 @@ op("lookup_unique", "entries index inverse", infer=at(1), absorbs_negative=(1,),
 
 @dataclass(frozen=True)
 class Compact:
-    """A list of set entries: `entries` (a table as long as all could be, -1 after the last), `running` (its last texel: `each`
-    times how many there are), `slots` (of each entry, its place in the list or -1)."""
+    """A list of set entries: `entries` (a table as long as all could be; after the last -1, or undefined where no draw reads them),
+    `total` (its last texel: how many there are), `running` (its last texel: `each` times as many), `slots` (of each entry, its place in
+    the list or -1)."""
 
     flags: Node
     entries: Node
     running: Node
+    total: Node
     each: int
 
     @property
@@ -132,11 +137,13 @@ class Compact:
 def compact(flags: Node, each: int, extent: Extent | None = None) -> Compact:
     """The list of the entries of an int table or image that are 1 (the others 0), a table unless `extent` says how it lies; a draw has
     `each` vertices an entry."""
+    extent = replace(extent or table(flags.extent.count), partial=flags.serial)
     levels = [flags]
     while levels[-1].extent.count > CHUNK * CHUNK:
         levels.append(apply("chunk_counts", levels[-1], count=levels[-1].extent.count))
     running = apply("running_counts", levels[-1], count=levels[-1].extent.count, each=each)
-    found = apply("first_chunk", running, each=each, extent=extent or table(flags.extent.count))
+    total = apply("idiv", running, each)
+    found = apply("first_chunk", running, total, each=each, extent=extent)
     for counts in reversed(levels):
         found = apply("descend", counts, found, count=counts.extent.count)
-    return Compact(flags, found.x, running, each)
+    return Compact(flags, found.x, running, total, each)

@@ -230,21 +230,30 @@ _BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"
          f"ivec2 hi_ = {{occupied}}(ivec2(c_, d_)) != 0 ? min(ivec2(c_, d_) * {BIN} + {BIN}, {{box}}.zw) : lo_;\n"
          "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) { ivec2 q_ = ivec2(a_, b_); "
          "if ({index}(q_) == {i}) {")
-op("segment_sum", "values index box occupied", sums=(0,), infer=at(2), reads="texel texel own texel", ref=_segment_ref, cost=400,
+op("segment_sum", "values index box occupied", sums=(0,), named=(0, 1, -1), infer=at(2), reads="texel texel own texel",
+   ref=_segment_ref, cost=400,
    vjp=lambda g, y, values, index, box, occupied: (apply("lookup", g, index), None, None, None),
    loop=Loop(_BINS, "{y} += {values}(q_);", "} } }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
    doc="Transpose of lookup_boxed: for each entry the sum, over the occupied bins of its box, of the pixels that name it.")
 
-# Rows of a capsule: the slab within `reach` of the segment's line, one pixel wider; the whole box where the line is nearly level.
+# Rows of a capsule: the slab within `reach` of the segment's line, wider by more than rounding; the whole box where the line is nearly
+# level. All pixels in one loop: machines that run several entries at once then turn as often as the longest needs, not its longest row
+# times its most rows.
 _CAPSULE = """{ vec2 d_ = {segment}.zw - {segment}.xy;
 bool level_ = abs(d_.y) < 0.25;
-float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float({reach}) * length(d_) / abs(d_.y) + 1.0;
-for (int b_ = {box}.y; b_ < {box}.w; ++b_) {
+float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float({reach}) * length(d_) / abs(d_.y) + 0.02 + 2e-3 * abs(slope_);
+int b_ = {box}.y - 1;
+for (int a_ = 0, end_ = 0; ; ++a_) {
+if (a_ >= end_) {
+if (++b_ >= {box}.w) break;
 float at_ = {center}.x + {segment}.x + (float(b_) + 0.5 - {center}.y - {segment}.y) * slope_ - 0.5;
 ivec2 row_ = ivec2(clamp(vec2(ceil(at_ - wide_), floor(at_ + wide_) + 1.0), vec2({box}.xx), vec2({box}.zz)));
-for (int a_ = row_.x; a_ < row_.y; ++a_) { ivec2 q_ = ivec2(a_, b_); ivec4 named_ = ivec4({index}(q_));"""
+a_ = row_.x; end_ = row_.y;
+if (a_ >= end_) continue;
+}
+ivec2 q_ = ivec2(a_, b_); ivec4 named_ = ivec4({places}(q_));"""
 
 
 def _capsules(rng):
@@ -255,27 +264,28 @@ def _capsules(rng):
     d = ends[:, 2:] - ends[:, :2]
     t = np.clip(((p - ends[:, :2]) * d).sum(-1) / (d * d).sum(-1), 0, 1)
     far = np.linalg.norm(ends[:, :2] + t[..., None] * d - p, axis=-1)
-    index = np.where(far.min(-1) <= 2, far.argmin(-1), -1)[..., None]
+    places = np.where(far.min(-1) <= 2, far.argmin(-1) + 1, 0)[..., None]
     box = np.array([np.concatenate([np.floor(np.minimum(e[:2], e[2:]) + (4, 3)), np.ceil(np.maximum(e[:2], e[2:]) + (8, 7))])
                     for e in ends]).clip(0, [12, 10, 12, 10]).astype(int)
-    return index, to_table(box), to_table(ends), to_table(np.tile([6.0, 5.0], (4, 1)))
+    return places, to_table(box), to_table(ends), to_table(np.tile([6.0, 5.0], (4, 1)))
 
 
-def _near_ref(entries, index, *_, channel, reach):
-    return lookup_ref(entries, index[..., channel:channel + 1])
+def _near_ref(entries, places, *_, channel, reach):
+    return lookup_ref(entries, places[..., channel:channel + 1] - 1)
 
 
-op("lookup_near", "entries index box segment center", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel texel",
-   size=lambda node, sizes: sizes[0], ref=_near_ref, cost=8, glsl=LOOKUP.replace("{index}", "ivec4({index})[{channel}]"),
-   vjp=lambda g, y, entries, index, box, segment, center, **attrs: (
-       apply("capsule_sum", g, index, box, segment, center, **attrs), None, None, None, None),
+op("lookup_near", "entries places box segment center", absorbs=(1,), infer=at(1), reads="texel own texel texel texel",
+   size=lambda node, sizes: sizes[0], ref=_near_ref, cost=8,
+   glsl="{ int at_ = ivec4({places})[{channel}] - 1; {y} = {type}(0); if (at_ >= 0) {y} = {entries_at}(at_); }",
+   vjp=lambda g, y, entries, places, box, segment, center, **attrs: (
+       apply("capsule_sum", g, places, box, segment, center, **attrs), None, None, None, None),
    sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
-   doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one that a channel of the "
-       "index, int or ivec4, names: sums over several channels share one loop.")
-op("capsule_sum", "values index box segment center", sums=(0,), infer=at(2), reads="texel texel own own own", cost=300,
-   ref=lambda values, index, box, *_, channel, reach: _segment_ref(values, index[..., channel:channel + 1], box),
-   vjp=lambda g, y, values, index, *where, **attrs: (apply("lookup_near", g, index, *where, **attrs), None, None, None, None),
-   loop=Loop(_CAPSULE, "if (named_[{channel}] == {i}) {y} += {values}(q_);", "} } }"),
+   doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one that a channel of "
+       "`places`, int or ivec4, names, counted from 1, 0 for none: sums over several channels share one loop.")
+op("capsule_sum", "values places box segment center", sums=(0,), named=(0, 1, 0), infer=at(2), reads="texel texel own own own", cost=300,
+   ref=lambda values, places, box, *_, channel, reach: _segment_ref(values, places[..., channel:channel + 1] - 1, box),
+   vjp=lambda g, y, values, places, *where, **attrs: (apply("lookup_near", g, places, *where, **attrs), None, None, None, None),
+   loop=Loop(_CAPSULE, "if (named_[{channel}] == {i} + 1) {y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
    doc="Transpose of lookup_near: for each segment the sum over the pixels of its box and within `reach` that name it.")
 

@@ -274,9 +274,10 @@ class Outline(_Rasterized):
         listed = {"extent": atlas.extent, "radius": r, "edge_count": count, "slots": edges.entries.extent.count, **self.cells}
         slot = apply("rasterize_segments", fixed, edges.entries, self.front, edges.running, **listed)
         tiles = apply("occupied", slot, width=GUARDED[0], height=GUARDED[1])
-        slot = apply("inside_tiles", slot + 1, tiles, tile=GUARDED) - 1  # so that guards see where it is -1
+        place = apply("inside_tiles", slot + 1, tiles, tile=GUARDED)  # so that guards see where it is 0
+        slot = place - 1
         hard = self.front >= 0
-        segment = apply("lookup_near", segments, slot, boxes, fixed, self._center(view), reach=r, channel=0)
+        segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
         beside = slot >= 0
         dist, point = self._nearest(segment, hard)
         first = topology.edge_faces[:, 0]
@@ -337,12 +338,12 @@ class Layers(_Rasterized):
         listed = _listed(boxes, self.bins, each=1)
         segments = listed.gather(self.segments)
         where = listed.gather(boxes), stop_gradient(segments), self._center(apply("idiv", listed.entries, count))
-        slots = [select(edge >= 0, lookup(listed.slots, edge), -1) for edge in edges]
+        places = [select(edge >= 0, lookup(listed.slots, edge) + 1, 0) for edge in edges]
         found = []
-        for first in range(0, len(slots), 4):  # four to an image: their sums share a loop
-            some = slots[first:first + 4]
-            index = some[0] if len(some) == 1 else compose(*some, *[-1] * (4 - len(some)))
-            found += [apply("lookup_near", segments, index, *where, reach=reach, channel=k) for k in range(len(some))]
+        for first in range(0, len(places), 4):  # four to an image: their sums share a loop
+            some = places[first:first + 4]
+            together = some[0] if len(some) == 1 else compose(*some, *[0] * (4 - len(some)))
+            found += [apply("lookup_near", segments, together, *where, reach=reach, channel=k) for k in range(len(some))]
         return found
 
     def _layer(self, code: Node, edge: Node, segment: Node) -> Layer:
