@@ -82,6 +82,7 @@ class Op:
     absent: tuple[tuple[int, int], ...] = ()  # (input, result): what the result is where that input is zero
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/storage.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
+    covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none
     size: Callable | None = None  # (node, sizes of its inputs) -> log2 of its usual magnitude; None: that of the largest float
     sample: Callable | None = field(default=None, compare=False)
     doc: str = ""

@@ -15,7 +15,7 @@ from ..cache.bundle_check import MAX_NEEDS
 from ..cache.layout import Layout
 from ..cache.profile import Profile
 from . import emit, spirv
-from .guard import find_guard
+from .guard import Guard, find_guard
 from .ir import CHANNELS, Extent, Node, is_int, topological
 from .optable import COUNT, VERTEX, apply
 from .pack import Stage, merged_reads, pack
@@ -252,7 +252,7 @@ class Assembler:
             for n, clear in zip(s.outputs, clears):
                 ref = self._ref(n, place)
                 self.images[ref // 2]["usage"] |= v.USAGE_COLOR
-                dont_care = clear is None or guard and unread.outside(n, dict(zip(s.outputs, guard.constants)))
+                dont_care = clear is None or guard and unread.outside(n, guard, s.outputs)
                 load = v.LOAD_LOAD if in_place else v.LOAD_DONT_CARE if dont_care else v.LOAD_CLEAR
                 attachments[ref] = {"format": format_number(n), "load": load,
                                     "store": v.STORE_STORE, "clear": 0 if dont_care else clear}
@@ -331,12 +331,17 @@ class _Unread:
             for k, x in enumerate(n.inputs):
                 self.reads.setdefault(x, []).append((n, k))
 
-    def outside(self, x: Node, constants: dict[Node, int]) -> bool:
-        """Whether x, one of `constants`, the outputs and what they are where they are left out, is of use only where another of them
-        names something, which there it does not (`Op.named`)."""
+    def outside(self, x: Node, guard: Guard, outputs: Sequence[Node]) -> bool:
+        """Whether x, one of the outputs, is of use only where something is named by an image that names nothing where the guard leaves
+        them out: another output, or what the guard is made of (`Op.named`, `Op.covers`)."""
+        known = dict(zip(outputs, guard.constants))
+        if guard.node.op.covers:
+            covered, value = guard.node.op.covers
+            known[guard.node.inputs[covered]] = value
+
         def of_no_use(n: Node, k: int) -> bool:
             mine, other, none = n.op.named or (-1, 0, 0)
-            return k == mine and constants.get(n.inputs[other]) == none
+            return k == mine and known.get(n.inputs[other]) == none
         return x not in self.roots and all(of_no_use(n, k) for n, k in self.reads[x])
 
     def after_the_last(self, x: Node, total: Node | None) -> int | None:

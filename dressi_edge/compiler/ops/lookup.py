@@ -210,10 +210,10 @@ def _any_ref(test):
     return ref
 
 
-for _name, _glsl, _test, _what in (("occupied", ">= 0", lambda x: x >= 0, "index is not negative"),
-                                   ("vacant", "< 0", lambda x: x < 0, "index is negative"),
-                                   ("marked", "> 0", lambda x: x > 0, "mask is positive")):
-    op(_name, "index", reads="texel", ref=_any_ref(_test), cost=64,
+for _name, _glsl, _test, _covers, _what in (("occupied", ">= 0", lambda x: x >= 0, (0, -1), "index is not negative"),
+                                            ("vacant", "< 0", lambda x: x < 0, None, "index is negative"),
+                                            ("marked", "> 0", lambda x: x > 0, None, "mask is positive")):
+    op(_name, "index", reads="texel", ref=_any_ref(_test), covers=_covers, cost=64,
        infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
        glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
     {y} = 0;
@@ -223,17 +223,27 @@ for _name, _glsl, _test, _what in (("occupied", ">= 0", lambda x: x >= 0, "index
        sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
        doc=f"1 for each tile of width x height pixels in which some {_what}.")
 
-# Bin by bin, the empty ones as loops of no turns: machines that cannot branch around a body still leave a loop early.
-_BINS = (f"for (int d_ = {{box}}.y / {BIN}; d_ * {BIN} < {{box}}.w; ++d_)\n"
-         f"for (int c_ = {{box}}.x / {BIN}; c_ * {BIN} < {{box}}.z; ++c_) {{\n"
-         f"ivec2 lo_ = max(ivec2(c_, d_) * {BIN}, {{box}}.xy);\n"
-         f"ivec2 hi_ = {{occupied}}(ivec2(c_, d_)) != 0 ? min(ivec2(c_, d_) * {BIN} + {BIN}, {{box}}.zw) : lo_;\n"
-         "for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) { ivec2 q_ = ivec2(a_, b_); "
-         "if ({index}(q_) == {i}) {")
+# Bin by bin, the empty ones skipped, from pixel to pixel that names the entry. Machines that run several entries at once turn as often
+# as the longest needs, and those that cannot branch around a body then run it once for each pixel that is added, not for each tried.
+_BINS = f"""{{ ivec2 bin_ = ivec2({{box}}.x / {BIN} - 1, {{box}}.y / {BIN}), q_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
+for (;;) {{
+bool found_ = false;
+for (bool left_ = true; left_ && !found_;) {{
+if (++q_.x >= hi_.x) {{ ++q_.y; q_.x = lo_.x; }}
+if (q_.y >= hi_.y) {{
+if (++bin_.x * {BIN} >= {{box}}.z) {{ bin_.x = {{box}}.x / {BIN}; ++bin_.y; }}
+left_ = bin_.y * {BIN} < {{box}}.w;
+lo_ = max(bin_ * {BIN}, {{box}}.xy);
+hi_ = left_ && {{occupied}}(bin_) != 0 ? min(bin_ * {BIN} + {BIN}, {{box}}.zw) : ivec2(0);
+q_ = lo_;
+}}
+found_ = q_.y < hi_.y && {{index}}(q_) == {{i}};
+}}
+if (!found_) break;"""
 op("segment_sum", "values index box occupied", sums=(0,), named=(0, 1, -1), infer=at(2), reads="texel texel own texel",
    ref=_segment_ref, cost=400,
    vjp=lambda g, y, values, index, box, occupied: (apply("lookup", g, index), None, None, None),
-   loop=Loop(_BINS, "{y} += {values}(q_);", "} } }"),
+   loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
    doc="Transpose of lookup_boxed: for each entry the sum, over the occupied bins of its box, of the pixels that name it.")

@@ -150,6 +150,11 @@ def _listed(boxes: Node, bins: Node, each: int) -> Compact:
     return compact(apply("meets_tiles", boxes, bins, tile=BIN), each)
 
 
+def near_faces(face: Node, value: Node) -> Node:
+    """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only."""
+    return apply("inside_tiles", value, apply("occupied", face, width=TILE, height=TILE), tile=(TILE, TILE))
+
+
 @dataclass(frozen=True)
 class Layer:
     """One peel: global face index (-1 none), hard flag, signed distance in pixels, probability (0 where there is none), and the
@@ -257,10 +262,11 @@ class Outline(_Rasterized):
     """Distance "outline": the front faces, drawn hard, and around the mesh's fold and boundary edges the nearest of them.
 
     A pixel beside an uncovered one, across the nearest point of its edge, has an alpha of its distance to that edge; so has any
-    uncovered pixel within r. All others have the stencil's. The edges are listed on the device first.
+    uncovered pixel within r. All others have the stencil's. The edges are listed on the device first. colored: colours are asked for,
+    so that all is drawn together where there are faces; else only what is beside the outline is.
     """
 
-    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, colored: bool = False):
         super().__init__(clip, topology, atlas, softness, near)
         count, r = len(topology.edges), float(softness.r)
         folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
@@ -275,18 +281,23 @@ class Outline(_Rasterized):
         slot = apply("rasterize_segments", fixed, edges.entries, self.front, edges.running, **listed)
         tiles = apply("occupied", slot, width=GUARDED[0], height=GUARDED[1])
         place = apply("inside_tiles", slot + 1, tiles, tile=GUARDED)  # so that guards see where it is 0
-        slot = place - 1
         hard = self.front >= 0
+        shown = lookup(self._owners(edges, view), place - 1)
+        face = select(hard, self.front, select(place > 0, apply("shift_right", shown, 2), -1))
+        if colored:
+            place = near_faces(face, place)
         segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
-        beside = slot >= 0
         dist, point = self._nearest(segment, hard)
-        first = topology.edge_faces[:, 0]
-        far = np.array((2, 0, 1))[(topology.face_edges[first] == np.arange(count)[:, None]).argmax(axis=1)]
-        owner = lookup(constant_table(first * 4 + far), select(exists, edges.entries - view * count, 0)) + view * (4 * len(topology.faces))
-        shown = lookup(owner, slot)
-        face = select(hard, self.front, select(beside, apply("shift_right", shown, 2), -1))
-        probability = select(beside, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
+        probability = select(place > 0, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
         self.layers = [Layer(face, hard, dist, probability, point, select(hard, 3, apply("bit_and", shown, 3)))]
+
+    def _owners(self, edges: Compact, view: Node) -> Node:
+        """For each listed edge, four times the face (over all views) that it shows, plus the corner that is not on it."""
+        t = self.topology
+        count, first = len(t.edges), t.edge_faces[:, 0]
+        far = np.array((2, 0, 1))[(t.face_edges[first] == np.arange(count)[:, None]).argmax(axis=1)]
+        edge = select(edges.entries >= 0, edges.entries - view * count, 0)
+        return lookup(constant_table(first * 4 + far), edge) + view * (4 * len(t.faces))
 
     def silhouette(self) -> Node:
         return self.layers[0].probability
@@ -371,6 +382,9 @@ class Layers(_Rasterized):
         return front * alpha + background * (1.0 - alpha)
 
 
-def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float) -> Outline | Layers:
-    """A mesh rasterized as `softness` says: clip coordinates (views x vertices), `near` the smallest w in front of the cameras."""
-    return (Outline if softness.distance == "outline" else Layers)(clip, topology, atlas, softness, near)
+def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, colored: bool = False) -> Outline | Layers:
+    """A mesh rasterized as `softness` says: clip coordinates (views x vertices), `near` the smallest w in front of the cameras.
+    colored: colours are asked for, not silhouettes alone."""
+    if softness.distance == "outline":
+        return Outline(clip, topology, atlas, softness, near, colored)
+    return Layers(clip, topology, atlas, softness, near)

@@ -22,14 +22,13 @@ from ..autodiff import gradients
 from ..cameras import Camera
 from ..functions import apply, compose, constant_table, lookup, normalize, to_int
 from ..ir import Node
-from ..ops.reduce import TILE
 from ..program import Program
 from ..scene import Mesh
 from ..topology import Topology
 from ..views import Views
 from . import objective
 from .camera import ViewTable, fixed_views, posed_views, to_clip
-from .hardsoftras import Atlas, Layers, Outline, Softness, rasterized
+from .hardsoftras import Atlas, Layers, Outline, Softness, near_faces, rasterized
 from .normals import vertex_normals
 from .optimizer import Adam, Sgd
 from .schedule import Schedule
@@ -173,7 +172,6 @@ class Problem:
                 uv = layers.interpolate_constant(layer, self.mesh.uvs[self.mesh.uv_faces], weights)
                 color = sample_texture(self.parameters["texture"], uv, wrap=self.wrap, gradient=self.texture_grad,
                                        covered=layer.face >= 0, step=step)
-                color = apply("inside_tiles", color, apply("occupied", layer.face, width=TILE, height=TILE), tile=(TILE, TILE))
             elif self.albedo == "colors":
                 color = layers.interpolate(layer, self.parameters["colors"], weights)
             else:
@@ -182,7 +180,7 @@ class Problem:
                 normal = normalize(layers.interpolate(layer, normals, weights))
                 at = layers.interpolate(layer, positions, weights) if point else normal
                 color = lambert(color, normal, at, self.lighting)
-            result.append(encode_srgb(color) if self.srgb else color)
+            result.append(near_faces(layer.face, encode_srgb(color) if self.srgb else color))
         return result
 
     def _term(self, loss: Loss, layers: Outline | Layers | None, target: Node | None, color) -> Node:
@@ -219,7 +217,7 @@ class Problem:
         layers = target = None
         if any(loss.kind in IMAGE_LOSSES for loss in losses):
             clip = to_clip(self.parameters["vertices"], table if view is None else table.choose(view))
-            layers = rasterized(clip, self.topology, atlas, softness, table.near)
+            layers = rasterized(clip, self.topology, atlas, softness, table.near, any(term.kind == "color" for term in losses))
             target = self._target(atlas, view)
 
         def color() -> Node:
