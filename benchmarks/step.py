@@ -12,7 +12,8 @@ Without DIR/meshes/spot the target is the pear. --quick takes small images and f
 step       the median of steps that are submitted and waited for one by one, everything included
 hard draw  the yardstick: what the K = 1 step draws first, the same faces at the same places with plain depth, submitted by itself
 copy       the other: an image as large as half the bytes that the step moves, copied to another
-K          1 is outline distance, `1 face` and more layers face distance
+K          1 is outline distance, `1 face` and more layers face distance; `1 colors` is outline distance with a loss of colours,
+           of which each vertex has one that is optimized, too
 cpu        processor time, all threads of the process together. Where the device is the processor, other work on the machine
            disturbs it least: divided by the number of processors it estimates `ms` on an idle machine if the load is even
 host       the step's time outside of the driver
@@ -338,15 +339,18 @@ def drawn(mesh: Mesh, cameras: Sequence[Camera], folder: Path, options: argparse
 
 
 FACE = "1 face"  # one layer of face distance, of which K > 1 has more
+COLORS = "1 colors"  # outline distance, and the loss is of colours of vertices, which are optimized with them
 
 
 def softness(layers: int | str, r: float) -> Softness:
-    return Softness(r, distance="face") if layers == FACE else Softness(r, layers=layers)
+    return Softness(r, distance="face") if layers == FACE else Softness(r) if layers == COLORS else Softness(r, layers=layers)
 
 
 def fitted(mesh: Mesh, cameras: Sequence[Camera], layers: int | str = 1, r: float = 2.0) -> Problem:
-    problem = Problem(mesh, cameras, albedo="constant")
-    problem.phase("fit", 1000, {"vertices": Adam(0.01)}, [Loss("silhouette"), Loss("laplacian", 0.05)], softness(layers, r))
+    colored = layers == COLORS
+    problem = Problem(mesh, cameras, albedo="colors" if colored else "constant")
+    problem.phase("fit", 1000, {key: Adam(0.01) for key in ("vertices", "colors")[:1 + colored]},
+                  [Loss("color" if colored else "silhouette"), Loss("laplacian", 0.05)], softness(layers, r))
     return problem
 
 
@@ -365,7 +369,7 @@ def cases(options: argparse.Namespace, folder: Path):
     for count, size, name in ((6, small, "Spot" if is_spot else "the pear"), (8, small // 2, "eight views")):
         title = f"sphere to {name}, six views {size}x{size}" if count == 6 else f"eight views {size}x{size}"
         yield (title, functools.partial(fitted, icosphere(3, 0.6), views(count, size)),
-               functools.partial(drawn, goal, views(count, size), folder, options), (1, FACE, 3) if quick else (1, FACE, 3, 5))
+               functools.partial(drawn, goal, views(count, size), folder, options), (1, COLORS, FACE, 3, 5)[:4 if quick else 5])
     meshes = [("682", bumpy(31, 12))]
     if not quick:
         meshes += [("14208", bumpy(96, 75)), ("51414", bumpy(209, 124))]

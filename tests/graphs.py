@@ -167,8 +167,8 @@ class Graph:
         if self.rng.random() < 0.5:
             return lookup(self.pick(None, extent_named("table")), self.indices["wide"], constant_table(box))
         index, box = self.indices["wide"], constant_table(box)
-        occupied = apply("occupied", index, width=8, height=8)
-        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, box, occupied))
+        bins = apply("bin_names", index)
+        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, box, bins))
 
     def _fetch(self, a):
         wide = extent_named("wide")

@@ -237,7 +237,13 @@ def cases():
     assert 0 < occupied.mean() < 1
     out["occupied", "sparse"] = Case([sparse], {"width": 8, "height": 8}, 0)
     out["occupied", "tiles"] = Case([sparse], {"width": 16, "height": 8}, 0)
-    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, occupied], {}, DEFAULT_RTOL)
+    bins = OPS["bin_names"].ref(sparse)
+    assert 0 < (bins != 0).mean() < 1
+    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, bins], {}, DEFAULT_RTOL)
+    many = rng.permutation(20 * 35).reshape(20, 35, 1)  # entries that share a bit
+    whole = to_table(np.tile([0, 0, 35, 20], (700, 1)))
+    out["segment_sum", "many"] = Case([rng.normal(size=(20, 35, 1)), many, whole, OPS["bin_names"].ref(many)], {}, DEFAULT_RTOL)
+    out["bin_names", "many"] = Case([many], {}, 0)
     out["fetch", "outside"] = Case([rng.normal(size=(4, 5, 2)), rng.integers(-9, 20, (6, 7, 2))], {}, 0)
     uv = np.array([0.0, 1.0, -1.0, 2.0, 0.5, 1 / 16, 1 - 1 / 16, -0.26, 1.37, 7.77])
     uv = np.stack(np.meshgrid(uv, uv), 2)

@@ -15,7 +15,7 @@ from ..ir import UNIT, Data, Extent, Node, table, vector_type
 from ..optable import Loop, apply, at, op, product
 from .reduce import tiles_of
 
-BIN = 8  # pixels a side of an occupancy bin
+BIN = 8  # pixels a side of a bin of names
 MAX_ROW = 64  # longer rows are summed in two levels, to keep every lane busy
 
 
@@ -197,7 +197,7 @@ def _segment_ref(values, index, box, *_, **attrs):
 op("lookup_boxed", "entries index box", absorbs_negative=(1,), infer=at(1), reads="texel own texel", ref=lookup_ref, cost=8,
    glsl=LOOKUP, sample=_boxed_sample,
    vjp=lambda g, y, entries, index, box: (
-       apply("segment_sum", g, index, box, apply("occupied", index, width=BIN, height=BIN)), None, None),
+       apply("segment_sum", g, index, box, apply("bin_names", index)), None, None),
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
@@ -223,9 +223,29 @@ for _name, _glsl, _test, _covers, _what in (("occupied", ">= 0", lambda x: x >= 
        sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
        doc=f"1 for each tile of width x height pixels in which some {_what}.")
 
-# Bin by bin, the empty ones skipped, from pixel to pixel that names the entry. Machines that run several entries at once turn as often
-# as the longest needs, and those that cannot branch around a body then run it once for each pixel that is added, not for each tried.
-_BINS = f"""{{ ivec2 bin_ = ivec2({{box}}.x / {BIN} - 1, {{box}}.y / {BIN}), q_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
+def _bin_names_ref(index):
+    h, w, _ = index.shape
+    out = np.zeros((-(-h // BIN), -(-w // BIN), 4), np.int64)
+    for y, x in np.argwhere(index[..., 0] >= 0):
+        k = index[y, x, 0]
+        out[y // BIN, x // BIN, k >> 5 & 3] |= 1 << (k & 31)
+    return (out + 2 ** 31) % 2 ** 32 - 2 ** 31
+
+
+op("bin_names", "index", reads="texel", ref=_bin_names_ref, cost=64,
+   infer=lambda name, inputs, attrs: ("ivec4", tiles_of(inputs[0].extent, BIN, BIN)),
+   glsl=f"""{{ ivec2 lo_ = {{p}} * {BIN}, hi_ = min(lo_ + {BIN}, ivec2({{index_w}}, {{index_h}}));
+    {{y}} = ivec4(0);
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
+    int k_ = {{index}}(ivec2(a_, b_));
+    {{y}} |= ivec4(equal(ivec4(k_ >> 5 & 3), ivec4(0, 1, 2, 3))) * (k_ < 0 ? 0 : 1 << (k_ & 31)); }} }}""",
+   sample=lambda rng: ([rng.integers(-300, 300, (17, 20, 1))], {}),
+   doc=f"For each bin of {BIN} x {BIN} pixels which entries some pixel names: bit k mod 128 is set for each entry k.")
+
+# Bin by bin, those skipped in which nothing can name the entry, from pixel to pixel that does. Machines that run several entries at once
+# turn as often as the longest needs, and those that cannot branch around a body run it once for each pixel added, not for each tried.
+_BINS = f"""{{ ivec4 mine_ = ivec4(equal(ivec4({{i}} >> 5 & 3), ivec4(0, 1, 2, 3))) * (1 << ({{i}} & 31));
+ivec2 bin_ = ivec2({{box}}.x / {BIN} - 1, {{box}}.y / {BIN}), q_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
 for (;;) {{
 bool found_ = false;
 for (bool left_ = true; left_ && !found_;) {{
@@ -234,19 +254,20 @@ if (q_.y >= hi_.y) {{
 if (++bin_.x * {BIN} >= {{box}}.z) {{ bin_.x = {{box}}.x / {BIN}; ++bin_.y; }}
 left_ = bin_.y * {BIN} < {{box}}.w;
 lo_ = max(bin_ * {BIN}, {{box}}.xy);
-hi_ = left_ && {{occupied}}(bin_) != 0 ? min(bin_ * {BIN} + {BIN}, {{box}}.zw) : ivec2(0);
+hi_ = left_ && any(notEqual({{bins}}(bin_) & mine_, ivec4(0))) ? min(bin_ * {BIN} + {BIN}, {{box}}.zw) : ivec2(0);
 q_ = lo_;
 }}
 found_ = q_.y < hi_.y && {{index}}(q_) == {{i}};
 }}
 if (!found_) break;"""
-op("segment_sum", "values index box occupied", sums=(0,), named=(0, 1, -1), infer=at(2), reads="texel texel own texel",
+op("segment_sum", "values index box bins", sums=(0,), named=(0, 1, -1), infer=at(2), reads="texel texel own texel",
    ref=_segment_ref, cost=400,
-   vjp=lambda g, y, values, index, box, occupied: (apply("lookup", g, index), None, None, None),
+   vjp=lambda g, y, values, index, box, bins: (apply("lookup", g, index), None, None, None),
    loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
-                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.ones((1, 2, 1), np.int64)], {}),
-   doc="Transpose of lookup_boxed: for each entry the sum, over the occupied bins of its box, of the pixels that name it.")
+                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.full((1, 2, 4), -1)], {}),
+   doc="Transpose of lookup_boxed: for each entry the sum, over the bins of its box that may hold any (`bin_names`), of the pixels that "
+       "name it.")
 
 # Rows of a capsule: the slab within `reach` of the segment's line, wider by more than rounding; the whole box where the line is nearly
 # level. All pixels in one loop: machines that run several entries at once then turn as often as the longest needs, not its longest row
