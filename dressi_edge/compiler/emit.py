@@ -260,8 +260,8 @@ class _Emitter:
 def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
          inner: Collection[Node] = (), total: Node | None = None) -> tuple[list[DrawCode], list[Binding]]:
     """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
-    read as input attachments, written by an earlier subpass of the same render pass. `total`: the
-    extent is that of a list, and its last texel says how many entries there are; no others are drawn."""
+    read as input attachments, written by an earlier subpass of the same render pass. total: where the extent is that of a list, the node
+    whose last texel says how many entries there are; no others are drawn."""
     e = _Emitter(stage, profile, guard, inner)
     if not stage.raster:
         fragment = e.fragment(e.pixel_body(guard), [])

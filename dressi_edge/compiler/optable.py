@@ -8,8 +8,8 @@ elsewhere two functions: `{name}(ivec2)` the texel, `{name_at}(index)` the entry
 `{i}` the own texel's row-major index and `{p}` its ivec2. A snippet may be a function of the node where types decide.
 
 An input read by tile is a coarser image, one texel for each `attrs["tile"]` = (width, height) texels of the result: where it is zero
-the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count is
-looked at on the way to the draw alone: that of a raster op's `Draw.count`, or how many entries a list has (`ops/compact.py`).
+the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count only says how much is drawn: it is that of a
+raster op's `Draw.count`, or the number of a list's entries (`ops/compact.py`).
 """
 from __future__ import annotations
 

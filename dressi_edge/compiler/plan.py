@@ -24,7 +24,7 @@ from .simplify import lower, simplify
 from .sparse import MIN_TEXELS, Lists, find_lists
 from .specialize import prepare, specialize
 
-MAX_ROWS = 16384
+MAX_ROWS = 16384  # of a list, whatever the profile allows: most devices have them
 
 
 def format_number(node: Node) -> int:
@@ -138,7 +138,7 @@ class Assembler:
         return specs, rooted, lists
 
     def _rows(self) -> int:
-        """The most rows of an image to draw to that the profile allows and that devices are known to have."""
+        """The most rows of an image that is drawn to."""
         limit = self.profile.limit
         return min(limit("maxImageDimension2D"), limit("maxFramebufferHeight"), limit("maxViewportDimensions")[1], MAX_ROWS)
 
@@ -239,8 +239,7 @@ class Assembler:
         image, slot = place[node] if node in place else (self.leaf(node), 0)
         return 2 * image + slot
 
-    def _stage(self, stage: Stage, place: dict, hazards: _Hazards, unread: _Unread, total: Node | None,
-               in_place: bool) -> dict:
+    def _stage(self, stage: Stage, place: dict, hazards: _Hazards, unread: _Unread, total: Node | None, in_place: bool) -> dict:
         attachments: dict[int, dict] = {}
         subpasses, layouts, read_refs = [], [], set()
         depth = -1
