@@ -41,7 +41,7 @@ from dressi_edge.runtime.device import Device  # noqa: E402
 WAYS = {"full": {}, "no stage packing": {"stage_packing": False}, "no cache": {"cache": False},
         "neither": {"stage_packing": False, "cache": False}, "naive": {"naive": True, "cache": False}}
 WARM = 2  # rounds before any is timed
-FULLSCREEN = 3  # vertices of a draw that covers its image
+FEW = 12  # vertices of a draw that covers its image, 3, or a list, 12
 
 
 def targets(device: Device, folder: Path, profile: str, cameras) -> np.ndarray:
@@ -61,7 +61,7 @@ def stage_times(session, runs: int) -> list[dict]:
     for ms, stage in zip(session.profile_stages("step", runs), session.plans["step"]["stages"]):
         drawn = [draw["vertices"] for draws in stage["subpasses"] for draw in draws]
         pixels = stage["width"] * stage["height"]
-        out.append({"ms": ms, "kind": "raster" if max(drawn) > FULLSCREEN else "small" if pixels <= 4096 else "image",
+        out.append({"ms": ms, "kind": "raster" if max(drawn) > FEW else "small" if pixels <= 4096 else "image",
                     "mpixels": pixels / 1e6, "mbytes": stage_bytes(d, stage) / 1e6})
     return out
 
