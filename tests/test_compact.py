@@ -1,8 +1,11 @@
 """Lists made on the device against `np.flatnonzero`, from one entry to more than three levels of counts hold."""
 
+import make_vectors
 import numpy as np
 import pytest
 
+from dressi_edge.cache import bundle
+from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.autodiff import gradients
@@ -70,3 +73,21 @@ def test_the_list_is_every_set_entry_in_order(gpu, count):
                     last = len(want[name]) if name in want else None
                     np.testing.assert_array_equal(got[:last], session.get(name)[:last], err_msg=f"reference {name}")
     gpu.silent()
+
+
+def test_what_a_draw_may_run_over_holds_nothing_after_the_last_entry():
+    """A player may draw all vertices: what such a draw takes entries from is -1 wherever the list does not reach."""
+    d = bundle.read(make_vectors.FOLDER / "lists.dressi").description
+    seen = 0
+    for plan in d["plans"]:
+        cleared = {}
+        for stage in plan["stages"]:
+            for draw in (draw for draws in stage["subpasses"] for draw in draws if draw["count"] >= 0):
+                bound = zip(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"])
+                for ref in (ref for ref, (_, stages, _) in bound if stages & v.STAGE_VERTEX and ref in cleared):
+                    if d["images"][ref // 2]["format"] == v.FORMATS["R32_SINT"]:
+                        assert cleared[ref] == (v.LOAD_CLEAR, -1)
+                        seen += 1
+            attachments = d["passes"][stage["pass"]]["attachments"]
+            cleared |= {ref: (a["load"], a["clear"]) for ref, a in zip(stage["attachments"], attachments)}
+    assert seen

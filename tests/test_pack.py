@@ -279,8 +279,7 @@ BUILD = """
 import sys
 from graphs import Graph
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, constant_table, dot, mean, select, sigmoid, total
+from dressi_edge.compiler.functions import apply
 if sys.argv[2] == "later":  # other nodes first: addresses and serial numbers differ
     others = [Graph(k).program for k in range(90, 93)]
 graph = Graph(4, 40)

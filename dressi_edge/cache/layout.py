@@ -28,12 +28,12 @@ def halved(array) -> np.ndarray:
         return np.asarray(array).astype(np.float32).astype(np.float16)
 
 
-def table_size(count: int) -> tuple[int, int]:
+def table_size(count: int, narrowest: int = 4, most_rows: int = MAX_TABLE_ROWS) -> tuple[int, int]:
     """Width and height of the image that holds `count` entries: a power-of-two width (addresses are a mask and a shift), from 4 on,
     while at most 4096 rows are needed. Tall and narrow, so that entries near each other in number share a block of pixels: what one
     of them can skip the others mostly can too."""
-    width = 1 if count == 1 else 2 if count == 2 else 4
-    while -(-count // width) > MAX_TABLE_ROWS:
+    width = 1 if count == 1 else 2 if count == 2 else narrowest
+    while -(-count // width) > most_rows:
         width *= 2
     return width, -(-count // width)
 

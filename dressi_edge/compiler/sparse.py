@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cache.layout import Layout
+from ..cache.layout import Layout, table_size
 from .guard import constant_value
 from .ir import COLUMN, Extent, Node, intern, rebuild, topological
 from .ops.compact import compact
@@ -77,14 +77,8 @@ def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[lis
 
 
 def _list_extent(e: Extent, rows: int) -> Extent:
-    """Room for every texel: as narrow as a column if that needs at most so many rows, so that what lies in one column is as near in
-    memory as in number; else as wide as it must be, no wider than the image."""
-    width = COLUMN
-    while -(-e.width * e.height // width) > rows and width < e.width:
-        width *= 2
-    height = -(-e.width * e.height // width)
-    if height > rows:
-        width, height = e.width, e.height
+    """Room for every texel: one column if that needs at most so many rows, so that what is near in number is near in memory."""
+    width, height = table_size(e.width * e.height, COLUMN, rows)
     return Extent(width, height, width * height)
 
 

@@ -232,19 +232,20 @@ def _bin_names_ref(index):
     return (out + 2 ** 31) % 2 ** 32 - 2 ** 31
 
 
-op("bin_names", "index", reads="texel", ref=_bin_names_ref, cost=64,
+_NAME_BIT = "ivec4 name_bit(int k) { return ivec4(equal(ivec4(k >> 5 & 3), ivec4(0, 1, 2, 3))) * (1 << (k & 31)); }"
+op("bin_names", "index", reads="texel", ref=_bin_names_ref, cost=64, functions=_NAME_BIT,
    infer=lambda name, inputs, attrs: ("ivec4", tiles_of(inputs[0].extent, BIN, BIN)),
    glsl=f"""{{ ivec2 lo_ = {{p}} * {BIN}, hi_ = min(lo_ + {BIN}, ivec2({{index_w}}, {{index_h}}));
     {{y}} = ivec4(0);
     for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
     int k_ = {{index}}(ivec2(a_, b_));
-    {{y}} |= ivec4(equal(ivec4(k_ >> 5 & 3), ivec4(0, 1, 2, 3))) * (k_ < 0 ? 0 : 1 << (k_ & 31)); }} }}""",
+    if (k_ >= 0) {{y}} |= name_bit(k_); }} }}""",
    sample=lambda rng: ([rng.integers(-300, 300, (17, 20, 1))], {}),
    doc=f"For each bin of {BIN} x {BIN} pixels which entries some pixel names: bit k mod 128 is set for each entry k.")
 
 # Bin by bin, those skipped in which nothing can name the entry, from pixel to pixel that does. Machines that run several entries at once
 # turn as often as the longest needs, and those that cannot branch around a body run it once for each pixel added, not for each tried.
-_BINS = f"""{{ ivec4 mine_ = ivec4(equal(ivec4({{i}} >> 5 & 3), ivec4(0, 1, 2, 3))) * (1 << ({{i}} & 31));
+_BINS = f"""{{ ivec4 mine_ = name_bit({{i}});
 ivec2 bin_ = ivec2({{box}}.x / {BIN} - 1, {{box}}.y / {BIN}), q_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
 for (;;) {{
 bool found_ = false;
@@ -261,7 +262,7 @@ found_ = q_.y < hi_.y && {{index}}(q_) == {{i}};
 }}
 if (!found_) break;"""
 op("segment_sum", "values index box bins", sums=(0,), named=(0, 1, -1), infer=at(2), reads="texel texel own texel",
-   ref=_segment_ref, cost=400,
+   ref=_segment_ref, cost=400, functions=_NAME_BIT,
    vjp=lambda g, y, values, index, box, bins: (apply("lookup", g, index), None, None, None),
    loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
