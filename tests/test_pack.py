@@ -17,7 +17,7 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe, pack
 from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, constant_table, dot, mean, select, sigmoid, total
+from dressi_edge.compiler.functions import apply, constant_table, dot, gather_sum, mean, select, sigmoid, total
 from dressi_edge.compiler.ir import topological
 from dressi_edge.compiler.reference import evaluate
 from dressi_edge.compiler.simplify import lower, simplify
@@ -179,6 +179,25 @@ def test_more_outputs_than_attachments_are_split(gpu):
             np.testing.assert_allclose(found[f"y{k}"], value * (k + 2), rtol=1e-6)
 
 
+@pytest.mark.parametrize("count, times", [(100, 3), (20_000, 1)])
+def test_what_parts_of_a_split_share_is_computed_once_if_it_is_dear(gpu, count, times):
+    """Three results of 128 bits, of which a tile holds one: a sum over many texels is stored before them, one over few made again."""
+    program, rng = Program(), np.random.default_rng(5)
+    kind = Layout("table", "vec4", count=count)
+    x, rates = program.input("x", kind), [program.input(f"rate{k}", kind) for k in range(3)]
+    near = gather_sum(x, np.stack([np.arange(count), np.arange(count) + 1], 1), (np.arange(count) * 7 + 3) % count)
+    made = {f"y{k}": (near * rate + near, kind) for k, rate in enumerate(rates)}
+    program.plan("p", {}, made)
+    stages = pack.pack(simplify(lower([y for y, _ in made.values()])), Profile.load("mali_g76"))
+    assert sum(n.op.name == "gather_sum" for stage in stages for s in stage.substages for n in s.nodes) == times
+    values = {name: rng.normal(size=(count, 4)) for name in ("x", "rate0", "rate1", "rate2")}
+    expected = {f"y{k}": values["x"][(np.arange(count) * 7 + 3) % count] * (values[f"rate{k}"] + 1) for k in range(3)}
+    with gpu.open(program, "mali_g76") as session:
+        for name, value in values.items():
+            session.set(name, value)
+        close({name: session.get(name) for name in expected}, expected, "mali_g76")
+
+
 def test_a_function_that_fits_no_profile_is_named_with_the_limit():
     program = Program()
     x = program.input("x", Layout("image", "float", 5000, 2))
@@ -191,7 +210,7 @@ def test_a_function_that_fits_no_profile_is_named_with_the_limit():
 
 
 def simple_split(nodes, outputs, profile):
-    """`pack._split` as its text says it, counting everything anew for each part that is tried."""
+    """`pack._parts` as its text says it, counting everything anew for each part that is tried."""
     whole = pack.substage(nodes, outputs)
     if not pack.excess(whole, profile):
         return [whole]
@@ -240,9 +259,9 @@ def test_a_split_is_what_trying_everything_gives(seed, monkeypatch):
     for roots in (mixed, tangle(120, 20, seed), [*wide(40)[0].plans[0].outputs.values()]):
         for profile in (tight(3, 1), tight(5, 4), tight(8, 2), Profile.load("limit4"), Profile.load("mali_g76")):
             found = []
-            for split in (pack._split, simple_split):
+            for split in (pack._parts, simple_split):
                 with monkeypatch.context() as patched:
-                    patched.setattr(pack, "_split", split)
+                    patched.setattr(pack, "_parts", split)
                     try:
                         found.append(pack.pack_substages(roots, profile))
                     except PackError:

@@ -11,6 +11,7 @@ recompute from what the reader fetches anyway are recomputed instead of stored. 
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ from .ops import lookup as _lookup  # noqa: F401  (fills the op table)
 from .optable import COUNT, FILTERED, OWN, VERTEX
 
 RECOMPUTE_COST = 24  # work a value may cost to be computed again
+SPLIT_COST = 50  # work without loops that each part of a split substage may do again
+PASS_COST = 100_000  # work over all texels that is worth a pass of its own
 FORMAT_BITS = {"float": 32, "vec2": 64, "vec3": 128, "vec4": 128, "int": 32, "ivec2": 64, "ivec3": 128, "ivec4": 128}
 
 
@@ -127,7 +130,7 @@ def _groups(order: Sequence[Node], level: dict[Node, int]) -> list[list[Node]]:
     groups: dict[tuple, list[Node]] = {}
     for n in order:
         if not _leaf(n):
-            key = (level[n], 0 if n.op.stage == "raster" else 1, n.extent.width, n.extent.height, n.extent.count,
+            key = (level[n], 0 if n.op.stage == "raster" else 1, n.extent.width, n.extent.height, n.extent.count, n.extent.partial,
                    n.serial if n.op.stage == "raster" else 0)
             groups.setdefault(key, []).append(n)
     return [groups[key] for key in sorted(groups, key=lambda key: key[:5])]
@@ -241,10 +244,24 @@ def _excess(profile: Profile, extent: Extent, outputs: Sequence[Node], images: i
 
 def _split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Substage]:
     """One substage, or several that each keep the limits: outputs in order, each with what it needs; later parts read the outputs of
-    earlier ones. A single output that is too wide is cut inside at the widest node that fits."""
+    earlier ones. What several would compute and costs more than a pass is stored before them."""
     whole = substage(nodes, outputs)
     if not excess(whole, profile):
         return [whole]
+    before: list[Node] = []
+    while True:
+        parts = _parts(nodes, list(dict.fromkeys([*before, *outputs])), profile)
+        computed = Counter(n for part in parts for n in part.nodes
+                           if (n.op.loop or n.op.cost > SPLIT_COST) and n.op.cost * n.extent.count > PASS_COST)
+        again = {n for n, times in computed.items() if times > 1}
+        if not again:
+            return parts
+        inner = {x for n in again for x, _ in _edges(n)} - {x for n in nodes if n not in again for x, _ in _edges(n)}
+        before += sorted(again - inner, key=nodes.index)
+
+
+def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:
+    """Substages that give these in order. A single one that is too wide is cut inside at the widest node that fits."""
     result: list[Substage] = []
     cones, pending = _Cones(nodes, profile), list(outputs)
     while pending:
