@@ -110,7 +110,8 @@ def silhouette_step(topology: Topology, size: int, softness: Softness) -> Progra
     program, table = Program(), Layout("table", "vec4", count=topology.vertex_count)
     clip, by_alpha = program.state("clip", table), program.input("by_alpha", Layout("atlas", "float", size, size))
     rate = program.input("rate", Layout("unit", "float"), 0.0)
-    g, = gradients(total(rasterized(clip, topology, Atlas(size, size, 1, 1), softness, 0.1).silhouette() * by_alpha), [clip])
+    shape = rasterized(clip, topology, Atlas(size, size, 1, 1), softness, 0.1, faces=False)
+    g, = gradients(total(shape.silhouette() * by_alpha), [clip])
     program.plan("step", {"clip": clip - g * rate})
     program.plan("gradient", {}, {"by_clip": (g, table)})
     return program

@@ -120,7 +120,8 @@ def build(path: Path, targets: Path) -> None:
     program = Program()
     vertices = program.state("vertices", Layout("table", "vec3", count=len(mesh.positions)), mesh.positions)
     target = program.input("targets", images)
-    layers = rasterized(to_clip(vertices, views), Topology(mesh.faces, len(mesh.positions)), atlas, Softness(2.0), views.near)
+    layers = rasterized(to_clip(vertices, views), Topology(mesh.faces, len(mesh.positions)), atlas, Softness(2.0), views.near,
+                        faces=False)
     error = layers.silhouette() - target
     loss = total(error * error) * (1.0 / (VIEWS * SIZE * SIZE))
     gradient, = gradients(loss, [vertices])

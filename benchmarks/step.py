@@ -10,7 +10,7 @@ one view         a mesh from 2.5 away, silhouette against a centred square of ha
 Without DIR/meshes/spot the target is the pear. --quick takes small images and few steps.
 
 step       the median of steps that are submitted and waited for one by one, everything included
-hard draw  the yardstick: what the K = 1 step draws first, the same faces at the same places with plain depth, submitted by itself
+hard draw  the yardstick: all faces of the K = 1 step at the same places with plain depth, submitted by itself
 copy       the other: an image as large as half the bytes that the step moves, copied to another
 K          1 is outline distance, `1 face` and more layers face distance; `1 colors` is outline distance with a loss of colours,
            of which each vertex has one that is optimized, too
@@ -60,7 +60,8 @@ HARD = Softness(1.0, delta=0.0)
 WARM = 20  # steps before any is timed
 COPY_WIDTH = 1024
 COPY_ROWS = 4096
-GATHERS = ("occupied", "segment_sum", "block_sum", "gather_sum", "weighted_gather_sum", "texture_gather", "texture_gather_lanes")
+GATHERS = ("bin_names", "block_sum", "capsule_sum", "gather_listed", "gather_sum", "occupied", "segment_sum", "texture_gather",
+           "texture_gather_lanes", "weighted_gather_sum")
 PEAK = """
 import sys
 import numpy
@@ -161,8 +162,8 @@ class Case:
         return run
 
     def hard_draw(self) -> Meter:
-        """Draws the faces of the step's first raster draw, which for one layer is hard and has nothing else to do. The stages before
-        it go first, not counted: their images may have served the end of the step for something else."""
+        """Draws the faces of the step's first raster draw with depth, which `drawn_hard` draws hard. The stages before it go first, not
+        counted: their images may have served the end of the step for something else."""
         d, stages = self.session.bundle.description, self.session.plans[self.plan]["stages"]
         for k, stage in enumerate(stages):
             if any(a["format"] == 0 for a in d["passes"][stage["pass"]]["attachments"]):
@@ -173,7 +174,7 @@ class Case:
                     kept.append(first)
                 if found:
                     return Meter(self._recorded([{**stage, "subpasses": kept}]), self._recorded(stages[:k]))
-        raise SystemExit(f"{self.plan} draws no hard faces: the yardstick needs one layer")
+        raise SystemExit(f"{self.plan} draws no hard faces")
 
     def copy(self) -> Callable[[], None]:
         """Moves as many bytes as the step: half of them read, half written, in pieces that any device has room for."""
@@ -360,6 +361,13 @@ def one_view(mesh: Mesh, size: int, layers: int | str = 1, r: float = 2.0) -> Pr
     return problem
 
 
+def drawn_hard(problem: Problem) -> Problem:
+    """One of the same mesh and views that has to know which face is in front."""
+    hard = Problem(problem.mesh, problem.cameras, albedo="constant")
+    hard.phase("fit", 1000, {"vertices": Sgd(1e-9)}, [Loss("color")])
+    return hard
+
+
 def cases(options: argparse.Namespace, folder: Path):
     """(name, layers -> problem, target images or None for drawn when the case runs, which layers)."""
     quick = options.quick
@@ -395,11 +403,14 @@ def measure(name: str, problem, target, layers: Sequence[int | str], folder: Pat
             opened[k].session.set("targets", image)
             opened[k].session.step(3 if options.quick else WARM, "fit")
         steps = {k: Meter(case.step) for k, case in opened.items()}
-        hard, copy = opened[1].hard_draw(), Meter(opened[1].copy())
+        yardstick = opened["hard"] = Case(drawn_hard(problem(layers=1)), folder, options)
+        yardstick.session.set("vertices", opened[1].session.get("vertices"))
+        yardstick.step()
+        hard, copy = yardstick.hard_draw(), Meter(opened[1].copy())
         take_turns([*steps.values(), hard, copy], options.seconds, *((1, 2) if options.quick else ()))
         yard = hard.row
-        for k, case in opened.items():
-            row = steps[k].row
+        for k in steps:
+            row, case = steps[k].row, opened[k]
             stages = case.stages(2 if options.quick else 5)
             rows.append({"case": name, "K": k, "faces": case.faces, **row, "hard_draw": yard, "copy": copy.row if k == 1 else None,
                          "of_hard": rounded(row["cpu_ms"] / yard["cpu_ms"]), "of_hard_by_wall": rounded(row["ms"] / yard["ms"]),

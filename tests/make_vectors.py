@@ -72,7 +72,8 @@ def _quads(distance):
     p, count = Program(), 4
     clip = p.input("clip", Layout("table", "vec4", count=3 * count))
     faces = np.array([(0, 1, 2), (0, 2, 3)])
-    layers = rasterized(clip, Topology(faces, count), Atlas(16, 12, 3, 2), Softness(2.0, distance=distance), 0.1)
+    softness = Softness(2.0, distance=distance)
+    layers = rasterized(clip, Topology(faces, count), Atlas(16, 12, 3, 2), softness, 0.1, faces=distance == "face")
     quad = np.array([(-1.03, -1.11, 1, 2), (1.17, -1.09, 1, 2), (0.93, 1.21, 1.4, 2.5), (-0.71, 1.07, 1.4, 2.5)])
     views = np.concatenate([quad, quad[::-1] * (0.6, 1.3, 1, 1), quad * (-0.9, 0.7, 1, 1)])
     return p, layers, ("set", "clip", views.astype(np.float32))

@@ -23,8 +23,8 @@ def hardsoftras(layers: int) -> Program:
     program = Program()
     clip = program.input("clip", Layout("table", "vec4", count=count), SCENE.clip)
     attributes = program.input("attributes", Layout("table", "vec3", count=count), SCENE.attributes)
-    ras = rasterized(clip, Topology(SCENE.faces, count), Atlas(width, height, 1, 1), Softness(3.0, layers=layers), SCENE.near)
-    alpha = ras.silhouette()
+    what = clip, Topology(SCENE.faces, count), Atlas(width, height, 1, 1), Softness(3.0, layers=layers), SCENE.near
+    ras, alpha = rasterized(*what), rasterized(*what, faces=False).silhouette()
     color = ras.color([ras.interpolate(layer, attributes) for layer in ras.layers], 0.0)
     g = gradients(total(alpha) + total(dot(color, color)), [clip, attributes])
     program.plan("shape", {}, {

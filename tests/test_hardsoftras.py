@@ -41,7 +41,7 @@ def renderer(topology, size, softness, near, views=1, columns=1):
     by_alpha, by_color = (program.input(name, Layout("atlas", vtype, **kind)) for name, vtype in
                           (("by_alpha", "float"), ("by_color", "vec3")))
     layers = rasterized(clip, topology, atlas, softness, near)
-    alpha = layers.silhouette()
+    alpha = rasterized(clip, topology, atlas, softness, near, faces=False).silhouette()
     color = layers.color([layers.interpolate(layer, attributes) for layer in layers.layers], 0.25)
     g = gradients(total(alpha * by_alpha) + total(dot(color, by_color)), [clip, attributes])
     program.plan("render", {}, {"alpha": (alpha, Layout("atlas", "float", **kind)),

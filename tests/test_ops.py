@@ -57,9 +57,8 @@ def sample(o):
         edges, views, vertices = 8, 2, 6
         ends = np.array([rng.permutation(vertices)[:4] for _ in range(edges)])
         ends[2, 3] = -1
-        segments = to_table(np.concatenate([rng.normal(size=(edges * views - 1, 4)), np.full((1, 4), 1e9)]))
-        return [segments, to_table(rng.normal(size=(vertices * views, 4))), constant_table(ends)], {
-            "edge_count": edges, "vertices": vertices}
+        return [to_table(rng.normal(size=(vertices * views, 4))), constant_table(ends)], {
+            "edge_count": edges, "vertices": vertices, "views": views, "near": 0.1, "cell_w": 20, "cell_h": 14}
     if o.sample:
         return o.sample(rng)
     return [rng.normal(size=(4, 5, 3)) for _ in o.params], {}
@@ -70,7 +69,8 @@ def test_every_row_has_its_place_in_these_tests():
     assert leaves == {"literal", "constant", "input", "state", "cached"}
     assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "composite"}
     assert [o.name for o in OPS.values() if o.stage == "composite"] == ["sum"]
-    assert {"rasterize", "rasterize_first", "rasterize_peel", "rasterize_hard", "rasterize_segments"} == {o.name for o in RASTER}
+    assert {"rasterize", "rasterize_covered", "rasterize_first", "rasterize_hard", "rasterize_peel",
+            "rasterize_segments"} == {o.name for o in RASTER}
     tested = {o.name for o in (*SNIPPETS, *RASTER)} | leaves | {"sum"}
     assert tested == OPS.keys()
 
@@ -130,9 +130,9 @@ def test_stop_gradient_stops_it():
 LOOKUPS = {
     "repeated": lambda x: lookup(x, np.array([3, 0, 3, 3, -1, 5, 8, 0])),
     "one_of_a_table": lambda x: lookup(x, constant_table(np.array([4]))),
-    "long_rows": lambda x: lookup(x, np.arange(300) % 2),
-    "long_weighted_rows": lambda x: gather_sum(x, np.array([[0, 150], [150, 150], [150, 170]]), np.arange(170) % 9,
-                                               np.linspace(-1, 2, 170)),
+    "long_rows": lambda x: lookup(x, np.arange(1100) % 2),
+    "long_weighted_rows": lambda x: gather_sum(x, np.array([[0, 550], [550, 550], [550, 570]]), np.arange(570) % 9,
+                                               np.linspace(-1, 2, 570)),
 }
 
 
@@ -360,7 +360,8 @@ def raster(gpu):
     table = to_table(np.concatenate(clips))
     clip = program.input("clip", Layout("table", "vec4", count=len(ball) * 3))
     found = topological([rasterized(clip, topology, atlas, softness, near).layers[-1].face for softness in
-                         (Softness(r), Softness(r, distance="face"), Softness(r, layers=2))])
+                         (Softness(r), Softness(r, distance="face"), Softness(r, layers=2))]
+                        + [rasterized(clip, topology, atlas, Softness(r), near, faces=False).front])
     nodes = {n.op.name: n for n in found if n.op in RASTER}
     assert len(nodes) == len(RASTER)
     program.plan("p", {}, {name: (y, layout_of(y)) for name, y in nodes.items()})

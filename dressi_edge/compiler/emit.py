@@ -33,7 +33,7 @@ _PLACE = "gl_Position = vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0);\n"
 TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
 ivec2 at = ivec2(tile % {across}, tile / {across});
 vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
-""" + _CORNER + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+""" + _CORNER + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 """
 # Of a list: the columns that are full, then the one that is not.
 LISTED = """int corner = gl_VertexIndex % 6, full = {entries} / ({column} * {h}), rest = {entries} - full * {column} * {h};
@@ -160,7 +160,8 @@ class _Emitter:
         e = node.extent
         names = {"w": e.width, "h": e.height, "n": e.count, "type": node.vtype, "p": "pixel",
                  "i": f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
-                 f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})"}
+                 f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})",
+                 "snap": literal_glsl(2.0 ** -self.profile.limit("subPixelPrecisionBits"))}
         for key, value in node.attrs.items():
             names[key] = literal_glsl(value) if isinstance(value, (int, float)) else value
         for k, (param, x) in enumerate(zip(node.op.params, node.inputs)):

@@ -5,7 +5,8 @@
 A snippet is GLSL with these marks: `{y}` the result, `{name}` an input (its own texel's value, or for inputs that are read
 elsewhere two functions: `{name}(ivec2)` the texel, `{name_at}(index)` the entry in row-major order), `{name_w} {name_h}
 {name_n}` an input's width, height, count, `{w} {h} {n}` the result's, `{type}` the result's GLSL type, `{attr}` any attribute,
-`{i}` the own texel's row-major index and `{p}` its ivec2. A snippet may be a function of the node where types decide.
+`{i}` the own texel's row-major index and `{p}` its ivec2, `{snap}` the grid of corners in pixels. A snippet may be a function of the
+node where types decide.
 
 An input read by tile is a coarser image, one texel for each `attrs["tile"]` = (width, height) texels of the result: where it is zero
 the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count only says how much is drawn: it is that of a

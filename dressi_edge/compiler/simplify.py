@@ -51,7 +51,7 @@ RULES = {
     "broadcast": lambda x, n: _as(x[0], n),
     "lookup_boxed": lambda x, n: apply("lookup", *x[:2]),  # what else these three take is for the transpose alone
     "lookup_near": lambda x, n: apply("lookup", x[0], _channel(x[1], n.attrs["channel"]) - 1),
-    "lookup_unique": lambda x, n: apply("lookup", *x[:2]),
+    "lookup_listed": lambda x, n: apply("lookup", *x[:2]),
     "swizzle": lambda x, n: _swizzle(x[0], n),
     "shift_right": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,
 }

@@ -44,6 +44,32 @@ class Topology:
         rank = np.argsort(np.argsort(first, kind="stable"), kind="stable")
         return halves[np.sort(first)], rank[inverse].reshape(-1, 3)
 
+    @cached_property
+    def closed(self) -> np.ndarray:
+        """(F,) bool: whether the faces that hang together with this one are a closed surface, oriented all alike: every edge is passed
+        as often one way as the other."""
+        f = self.faces.astype(np.int64)
+        start, stop = f.reshape(-1), np.roll(f, -1, axis=1).reshape(-1)
+        _, edge = np.unique(np.minimum(start, stop) * self.vertex_count + np.maximum(start, stop), return_inverse=True)
+        passed = np.bincount(edge, weights=np.where(start < stop, 1.0, -1.0))
+        part = self._parts[f[:, 0]]
+        leaks = np.zeros(self.vertex_count, bool)
+        leaks[part[(passed[edge] != 0).reshape(-1, 3).any(1)]] = True
+        return ~leaks[part]
+
+    @property
+    def _parts(self) -> np.ndarray:
+        """(V,): the lowest vertex that hangs together with each by faces."""
+        lowest = np.arange(self.vertex_count)
+        while True:
+            of_faces, joined = lowest[self.faces], lowest.copy()
+            np.minimum.at(joined, of_faces, of_faces.min(1, keepdims=True))
+            while (joined[joined] != joined).any():
+                joined = joined[joined]
+            if (joined == lowest).all():
+                return lowest
+            lowest = joined
+
     @property
     def edges(self) -> np.ndarray:
         """(E, 2), lower vertex first."""

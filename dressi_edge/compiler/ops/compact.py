@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..ir import Extent, Node, table
-from ..optable import Loop, apply, at, op
-from .lookup import LOOKUP, lookup_ref
+from ..optable import Loop, apply, op
+from .lookup import constant_table, lookup
 
 CHUNK = 64
 
 
 def _chunks(name, inputs, attrs):
-    return "int", table(-(-inputs[0].extent.count // CHUNK))
+    return "int", table(-(-inputs[0].extent.count // attrs.get("chunk", CHUNK)))
 
 
 def _as_table(values: np.ndarray, count: int) -> np.ndarray:
@@ -29,9 +29,9 @@ def _as_table(values: np.ndarray, count: int) -> np.ndarray:
     return out.reshape(extent.height, extent.width, -1)
 
 
-def _counts_ref(flags, count):
+def _counts_ref(flags, count, chunk):
     entries = flags.reshape(-1)[:count]
-    starts = np.arange(0, len(entries), CHUNK)
+    starts = np.arange(0, len(entries), chunk)
     return _as_table(np.add.reduceat(entries, starts)[:, None], len(starts))
 
 
@@ -44,9 +44,9 @@ def _running_ref(counts, count, each):
 
 
 op("chunk_counts", "flags", infer=_chunks, reads="texel", ref=_counts_ref, cost=64,
-   loop=Loop(f"for (int k_ = {{i}} * {CHUNK}; k_ < min({{i}} * {CHUNK} + {CHUNK}, {{count}}); ++k_) {{", "{y} += {flags_at}(k_);"),
-   sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268}),
-   doc="Sums over chunks of 64 entries, the first `count` of them.")
+   loop=Loop("for (int k_ = {i} * {chunk}; k_ < min({i} * {chunk} + {chunk}, {count}); ++k_) {", "{y} += {flags_at}(k_);"),
+   sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "chunk": 64}),
+   doc="Sums over chunks of so many entries, the first `count` of them.")
 op("running_counts", "counts", infer=_chunks, reads="texel", ref=_running_ref, cost=500,
    loop=Loop(f"for (int k_ = 0; k_ < min({{i}} * {CHUNK} + {CHUNK}, {{count}}); ++k_) {{", "{y} += {counts_at}(k_) * {each};"),
    sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "each": 3}),
@@ -105,13 +105,6 @@ op("slot_of", "flags entries running", infer=lambda name, inputs, attrs: ("int",
                         np.array([[[12]]])], {"each": 3}),
    doc="Where each set entry stands in the list (by bisection); -1 for the others.")
 
-op("lookup_unique", "entries index inverse", infer=at(1), absorbs_negative=(1,), reads="texel own texel", ref=lookup_ref, cost=8,
-   glsl=LOOKUP,
-   vjp=lambda g, y, entries, index, inverse: (apply("lookup_unique", g, inverse, index), None, None),
-   sample=lambda rng: ([rng.normal(size=(2, 4, 3)), np.array([5, 1, 6, -1])[None, :, None],
-                        np.array([-1, 1, -1, -1, -1, 0, 2, -1]).reshape(2, 4, 1)], {}),
-   doc="A table's entries by an index that names none twice; `inverse` is where each is named, -1 if nowhere.")
-
 
 @dataclass(frozen=True)
 class Compact:
@@ -129,9 +122,23 @@ class Compact:
     def slots(self) -> Node:
         return apply("slot_of", self.flags, self.entries, self.running, each=self.each)
 
-    def gather(self, values: Node) -> Node:
-        """The entries of a table in the order of the list; zero after the last."""
-        return apply("lookup_unique", values, self.entries, self.slots)
+    def lookup(self, values: Node, names: np.ndarray) -> Node:
+        """`values[names[entry]]` for each entry of the list; zero after the last. names: for each entry there could be one of a table."""
+        every = constant_table(names)
+        index = apply("select", self.entries >= 0, lookup(every, self.entries), -1)
+        return apply("lookup_listed", values, index, every, self.slots)
+
+
+def _counts(flags: Node, chunk: int = CHUNK) -> Node:
+    return apply("chunk_counts", flags, count=flags.extent.count, chunk=chunk)
+
+
+def count_set(flags: Node) -> Node:
+    """How many entries of a table are 1, the others being 0; 1 x 1."""
+    counts = _counts(flags)
+    while counts.extent.count > CHUNK * CHUNK:
+        counts = _counts(counts)
+    return _counts(counts, CHUNK * CHUNK)
 
 
 def compact(flags: Node, each: int, extent: Extent | None = None) -> Compact:
@@ -140,7 +147,7 @@ def compact(flags: Node, each: int, extent: Extent | None = None) -> Compact:
     extent = replace(extent or table(flags.extent.count), partial=flags.serial)
     levels = [flags]
     while levels[-1].extent.count > CHUNK * CHUNK:
-        levels.append(apply("chunk_counts", levels[-1], count=levels[-1].extent.count))
+        levels.append(_counts(levels[-1]))
     running = apply("running_counts", levels[-1], count=levels[-1].extent.count, each=each)
     total = apply("idiv", running, each)
     found = apply("first_chunk", running, total, each=each, extent=extent)

@@ -86,7 +86,7 @@ def _points(rng):
 _POINT = """
 found = gl_VertexIndex;
 gl_PointSize = 1.0;
-gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+gl_Position = vec4(2.0, 2.0, 0.0, 1.0);
 if ({covered_at}(gl_VertexIndex) != 0) {
     ivec2 size = ivec2({cell_w}, {cell_h});
     vec2 texel = floor({uv_at}(gl_VertexIndex) * vec2(size) - 0.5 + {offset_at}(0));

@@ -16,7 +16,7 @@ from ..optable import Loop, apply, at, op, product
 from .reduce import tiles_of
 
 BIN = 8  # pixels a side of a bin of names
-MAX_ROW = 64  # longer rows are summed in two levels, to keep every lane busy
+MAX_ROW = 256  # longer rows are summed in two levels, to keep every lane busy
 
 
 def constant(array: np.ndarray, extent: Extent | None = None) -> Node:
@@ -64,29 +64,33 @@ def _transpose(rows: Data, cols: Data, weights: Data | None, outputs: int, input
     return np.stack([start[:-1], start[1:]], 1), owner[order], w
 
 
-def gather_sum(x: Node, rows: np.ndarray, cols: np.ndarray, weights: np.ndarray | None = None) -> Node:
+def gather_sum(x: Node, rows: np.ndarray, cols: np.ndarray, weights: np.ndarray | None = None, slots: Node | None = None) -> Node:
     """`y[i] = sum over k in [rows[i, 0], rows[i, 1]) of weights[k] x[cols[k]]`: a constant sparse matrix times a table.
 
     rows (n, 2) int with rows laid end to end, cols (m,) int entries of x, weights (m,) or None for ones. Result: table of n.
+    slots: x is a list, of which cols[k] is at slots[cols[k]]; -1 if it is not in it. Then there are no weights, and no gradient.
     """
     rows, cols = np.asarray(rows, np.int64), np.asarray(cols, np.int64)
     lengths = rows[:, 1] - rows[:, 0]
     if len(cols) != lengths.sum() or (len(rows) and not np.array_equal(rows[:, 0], np.cumsum(lengths) - lengths)):
         raise GraphError("gather_sum: rows must lie end to end and cover every column")
-    if len(cols) and not 0 <= cols.min() <= cols.max() < x.extent.count:
-        raise GraphError(f"gather_sum: column {cols.max()} of {x!r}; 0 to {x.extent.count - 1} are allowed")
+    entries = (slots or x).extent.count
+    if len(cols) and not 0 <= cols.min() <= cols.max() < entries:
+        raise GraphError(f"gather_sum: column {cols.max()} of {x!r}; 0 to {entries - 1} are allowed")
     if len(lengths) and lengths.max() > MAX_ROW:
         pieces = -(-lengths // MAX_ROW)
         first = np.repeat(rows[:, 0], pieces)
         local = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
         start = first + local * MAX_ROW
         end = np.minimum(start + MAX_ROW, np.repeat(rows[:, 1], pieces))
-        partial = gather_sum(x, np.stack([start, end], 1), cols, weights)
+        partial = gather_sum(x, np.stack([start, end], 1), cols, weights, slots)
         ends = np.cumsum(pieces)
         return gather_sum(partial, np.stack([ends - pieces, ends], 1), np.arange(pieces.sum()))
     if not len(cols):
         cols, weights = np.zeros(1, np.int64), None
     nodes = [x, constant_table(rows), constant_table(cols)]
+    if slots is not None:
+        return apply("gather_listed", *nodes, slots)
     if weights is None:
         return apply("gather_sum", *nodes)
     return apply("weighted_gather_sum", *nodes, constant_table(np.asarray(weights, np.float64)))
@@ -127,12 +131,22 @@ def _gather_sample(weighted):
     return sample
 
 
+def _gather_listed_ref(x, rows, cols, slots):
+    place = slots.reshape(-1)[cols.reshape(-1)]
+    values = np.where(place[:, None] >= 0, x.reshape(-1, x.shape[2])[place], 0.0)
+    return _gather_ref(values[:, None], rows, np.arange(len(place)))
+
+
 _ROW = "for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) { int j_ = {cols_at}(k_);"
 op("gather_sum", "x rows cols", infer=at(1), reads="texel own texel", ref=_gather_ref, vjp=_gather_vjp, cost=30,
    loop=Loop(_ROW, "{y} += {x_at}(j_);"), sample=_gather_sample(False), doc="Constant sparse rows of ones times a table.")
 op("weighted_gather_sum", "x rows cols weights", infer=at(1), reads="texel own texel texel", ref=_gather_ref, vjp=_gather_vjp,
    cost=30, size=product, loop=Loop(_ROW, "{y} += {weights_at}(k_) * {x_at}(j_);"), sample=_gather_sample(True),
    doc="A constant sparse matrix times a table.")
+op("gather_listed", "x rows cols slots", infer=at(1), reads="texel own texel texel", ref=_gather_listed_ref, cost=30,
+   loop=Loop(_ROW, "for (int s_ = {slots_at}(j_), end_ = s_ + int(s_ >= 0); s_ < end_; ++s_) {y} += {x_at}(s_);"),
+   sample=lambda rng: ([*_gather_sample(False)(rng)[0][:3], to_table(np.array([4, -1, 0, 2, -1, 8, 1, 3, -1, 7]), -1)], {}),
+   doc="gather_sum of a list, where `slots` says of each column at which place of it that is; -1 for those that are not in it.")
 
 
 def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> Node:
@@ -176,6 +190,23 @@ def _lookup_sample(rng):
 LOOKUP = "{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}({index});"
 op("lookup", "entries index", absorbs_negative=(1,), infer=at(1), reads="texel own", ref=lookup_ref, vjp=_lookup_vjp, cost=8, glsl=LOOKUP,
    sample=_lookup_sample, doc="A table's entry by index; zero where the index is negative.")
+
+
+def _listed_vjp(g, y, entries, index, names, slots):
+    flat = names.attrs["data"].array.reshape(-1)[:names.extent.count]
+    return (_laid_out(gather_sum(g, *_rows_of(flat, entries.extent.count), slots=slots), entries.extent), None, None, None)
+
+
+def _listed_sample(rng):
+    names, listed = rng.integers(0, 9, 13), np.array([1, 2, 5, 6, 11])
+    slots = np.full(13, -1)
+    slots[listed] = np.arange(5)
+    return [to_table(rng.normal(size=(9, 3))), to_table(np.append(names[listed], -1), -1), constant_table(names), to_table(slots, -1)], {}
+
+
+op("lookup_listed", "entries index names slots", absorbs_negative=(1,), infer=at(1), reads="texel own texel texel", ref=lookup_ref, cost=8,
+   glsl=LOOKUP, sample=_listed_sample, vjp=_listed_vjp,
+   doc="A table's entry by an index that is a list of some of the constants `names`; `slots`: where in it each of them is, or -1.")
 
 
 def _boxed_sample(rng):

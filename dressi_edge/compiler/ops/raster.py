@@ -8,6 +8,7 @@ an item and pull everything by `gl_VertexIndex`: no geometry shader, no primitiv
 """
 from __future__ import annotations
 
+from ..ir import table
 from ..optable import Draw, op
 from . import raster_reference as reference
 
@@ -31,19 +32,12 @@ vec4 clip_segment(vec3 a, vec3 b, float near) {
 }
 """
 
-_PROLOGUE = """
-int view = gl_InstanceIndex;
-vec3 half_cell = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
-center = vec2(view % {columns}, view / {columns}) * 2.0 * half_cell.xy + half_cell.xy;
-gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-"""
-
 # Enlarge (paper 3.4.2): acute faces are stretched from the centroid until every edge has moved out by r; others, smallest angle
 # under 30 degrees, become a box along the longest edge. A face that crosses the near plane becomes an upright box.
 _ENLARGE = """
 int entry = {entries_at}(gl_VertexIndex / 6), view = entry / {face_count}, f = entry - view * {face_count}, corner = gl_VertexIndex % 6;
 vec3 half_cell = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
-gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
 if (entry < 0) return;
 center = vec2(view % {columns}, view / {columns}) * 2.0 * half_cell.xy + half_cell.xy;
 ivec3 t = {faces_at}(f);
@@ -149,10 +143,32 @@ op("rasterize_hard", "clip corners", infer=_code(1), reads="vertex vertex", stag
    draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"),), vertices=(3, "face_count")),),
    doc="The front face of each pixel, view F + face; -1 where there is none. Fixed-function depth.")
 
+# Whether any face is in front. Of a closed surface, oriented all alike and wholly before the near plane, faces that turn one way cover
+# what all faces cover, however it folds or intersects itself: along every ray as many enter it as leave it, and on the grid to which a
+# device rounds corners the rule for shared edges keeps that so. So faces that turn the other way by more than any rounding are left out.
+_COVERED = """
+int first = gl_InstanceIndex * {vertices}, corner = gl_VertexIndex % 3;
+ivec4 t = {faces_at}(gl_VertexIndex / 3);
+vec4 c0 = {clip_at}(first + t.x), c1 = {clip_at}(first + t.y), c2 = {clip_at}(first + t.z);
+gl_Position = corner == 0 ? c0 : corner == 1 ? c1 : c2;
+gl_Position.z *= 0.5;
+vec2 scale = vec2(0.5 * float({cell_w}), 0.5 * float({cell_h}));
+vec2 p = c0.xy / c0.w * scale, a = c1.xy / c1.w * scale - p, b = c2.xy / c2.w * scale - p;
+vec2 size = abs(a) + abs(b), far = abs(p) + size;
+float off = {snap} + 4e-7 * (max(float({w}), float({h})) + max(far.x, far.y));  // of a corner, either way
+bool away = a.x * b.y - a.y * b.x < -(2.0 * off * (size.x + size.y) + 8.0 * off * off);
+if (away && t.w != 0 && {behind}(ivec2(0)) == 0) gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
+"""
+op("rasterize_covered", "clip faces behind", infer=_code(1), reads="vertex vertex vertex", stage="raster", cost=200,
+   ref=reference.rasterize_covered,
+   draws=(Draw(_COVERED, "{y} = 0;\n", (), vertices=(3, "face_count"), depth_test=False),),
+   doc="0 where a face covers the pixel, -1 where none does. `faces`: three corners, in order, and whether it is of a closed "
+       "surface; `behind`: 0 if all corners of all views are before the near plane.")
+
 # A list of segments over the whole atlas: the box around each.
 _AROUND = """
 int slot = gl_VertexIndex / 6, corner = gl_VertexIndex % 6, entry = {entries_at}(slot);
-gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
 segment = vec4(0.0);
 center = vec2(0.0);
 code = slot;
@@ -190,19 +206,18 @@ op("rasterize_segments", "segments entries front count", infer=_code(1), reads="
    doc="For each pixel the slot of the nearest listed segment within `radius` in its cell that is outline for it, the first of equals; -1 "
        "where there is none. Outline: `front` does not cover the pixel, or not the one that lies a pixel beyond the nearest point.")
 
-op("fold_segments", "segments clip edges", infer=lambda name, inputs, attrs: ("vec4", inputs[0].extent), reads="own texel texel",
-   ref=reference.fold_segments, cost=40,
-   glsl="""{y} = {segments};
-if ({y}.x < 1e8) {
-    int view_ = {i} / {edge_count};
+op("fold_segments", "clip edges", infer=lambda name, inputs, attrs: ("vec4", table(attrs["views"] * attrs["edge_count"])),
+   reads="texel texel", ref=reference.fold_segments, functions=FUNCTIONS, cost=40,
+   glsl="""{ int view_ = {i} / {edge_count}, first_ = view_ * {vertices};
     ivec4 v_ = {edges_at}({i} - view_ * {edge_count});
-    if (v_.w >= 0) {
-        vec3 o_ = {clip_at}(view_ * {vertices} + v_.x).xyw;  // differences keep the digits of small faces
-        vec3 n_ = cross(o_, {clip_at}(view_ * {vertices} + v_.y).xyw - o_);
-        float a_ = dot(n_, {clip_at}(view_ * {vertices} + v_.z).xyw - o_), b_ = dot(n_, {clip_at}(view_ * {vertices} + v_.w).xyw - o_);
-        if (sign(a_) * sign(b_) < 0.0) {y} = vec4(1e9);
-    }
-}""", doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen; 1e9 for all others.")
+    vec3 scale_ = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
+    vec3 o_ = {clip_at}(first_ + v_.x).xyw, e_ = {clip_at}(first_ + v_.y).xyw;
+    {y} = clip_segment(o_ * scale_, e_ * scale_, {near});
+    vec3 n_ = cross(o_, e_ - o_);  // differences keep the digits of small faces
+    float a_ = dot(n_, {clip_at}(first_ + v_.z).xyw - o_), b_ = dot(n_, {clip_at}(first_ + max(v_.w, 0)).xyw - o_);
+    if (v_.w >= 0 && sign(a_) * sign(b_) < 0.0) {y} = vec4(1e9); }""",
+   doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen, relative to the cell's centre and "
+       "clipped to the near plane; 1e9 for all others.")
 
 op("nearest_edge", "code face_edges segments position active", absent=((4, -1),),
    infer=lambda name, inputs, attrs: ("int", inputs[0].extent),

@@ -3,6 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .lookup import to_table
+
 
 def segment_distance2(p, s):
     """Squared distance of points (..., 2) to segments (..., 4)."""
@@ -87,6 +89,13 @@ def rasterize_hard(clip, corners, extent, **attrs):
     return code[..., None]
 
 
+def rasterize_covered(clip, faces, behind, extent, **attrs):
+    code = np.full((extent.height, extent.width), -1, np.int64)
+    for ys, xs, c, _ in _fragments(clip, faces.reshape(-1, 4)[:, :3], None, extent, **attrs, radius=0.01):
+        code[ys[c & 1 == 1], xs[c & 1 == 1]] = 0
+    return code[..., None]
+
+
 def rasterize_segments(segments, entries, front, count, extent, radius, edge_count, cell_w, cell_h, columns, slots):
     code = np.full((extent.height, extent.width), -1, np.int64)
     nearest = np.full((extent.height, extent.width), np.inf)
@@ -111,16 +120,16 @@ def rasterize_segments(segments, entries, front, count, extent, radius, edge_cou
     return code[..., None]
 
 
-def fold_segments(segments, clip, edges, edge_count, vertices):
-    h = clip.reshape(-1, 4)[:, [0, 1, 3]]
-    i = np.arange(segments.shape[0] * segments.shape[1])
-    view = np.minimum(i // edge_count, len(h) // vertices - 1)
-    v = edges.reshape(-1, 4)[i - i // edge_count * edge_count]
-    o = h[view * vertices + v[:, 0]]
-    n = np.cross(o, h[view * vertices + v[:, 1]] - o)
-    sides = [np.sign((n * (h[view * vertices + np.maximum(v[:, k], 0)] - o)).sum(1)) for k in (2, 3)]
-    inner = (v[:, 3] >= 0) & (sides[0] * sides[1] < 0)
-    return np.where(inner[:, None], 1e9, segments.reshape(-1, 4)).reshape(segments.shape)
+def fold_segments(clip, edges, edge_count, vertices, views, near, cell_w, cell_h):
+    h, v = clip.reshape(-1, 4)[:views * vertices, [0, 1, 3]].reshape(views, vertices, 3), edges.reshape(-1, 4)[:edge_count]
+    o, e = h[:, v[:, 0]], h[:, v[:, 1]]
+    n = np.cross(o, e - o)
+    sides = [np.sign((n * (h[:, np.maximum(v[:, k], 0)] - o)).sum(-1)) for k in (2, 3)]
+    inner = ((v[:, 3] >= 0) & (sides[0] * sides[1] < 0)).reshape(-1)
+    scale = np.array([cell_w / 2, cell_h / 2, 1.0])
+    ends = zip((o * scale).reshape(-1, 3), (e * scale).reshape(-1, 3))
+    found = np.array([np.full(4, 1e9) if s is None else s for s in (clip_segment(a, b, near) for a, b in ends)])
+    return to_table(np.where(inner[:, None], 1e9, found))
 
 
 def _with_depth(code, depth):

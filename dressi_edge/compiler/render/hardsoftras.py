@@ -7,7 +7,7 @@ from the AD.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,7 @@ from ..functions import (
     to_int,
 )
 from ..ir import Extent, Node, image, table
-from ..ops.compact import Compact, compact
+from ..ops.compact import Compact, compact, count_set
 from ..ops.reduce import TILE
 from ..topology import Topology
 
@@ -116,11 +116,10 @@ def _cross2(a: Node, b: Node) -> Node:
     return a.x * b.y - a.y * b.x
 
 
-def _segments(clip: Node, topology: Topology, atlas: Atlas, near: float) -> Node:
-    """Screen segments of all edges, relative to the cell's centre, clipped to the near plane; 1e9 where wholly behind."""
-    ends = [np.concatenate([v * topology.vertex_count + topology.edges[:, k] for v in range(atlas.views)]) for k in (0, 1)]
+def _segments(ends: Iterable[Node], atlas: Atlas, near: float) -> Node:
+    """Screen segments between clip coordinates, relative to the cell's centre, clipped to the near plane; 1e9 where wholly behind."""
     scale = compose(atlas.width / 2, atlas.height / 2, 1.0)
-    a, b = (apply("swizzle", lookup(clip, e), channels="xyw") * scale for e in ends)
+    a, b = (apply("swizzle", e, channels="xyw") * scale for e in ends)
     a_behind, b_behind = a.z < near, b.z < near
     crosses = not_equal(a_behind, b_behind)
     cut = a + (b - a) * ((near - a.z) / select(crosses, b.z - a.z, 1.0))
@@ -157,11 +156,11 @@ def near_faces(face: Node, value: Node) -> Node:
 
 @dataclass(frozen=True)
 class Layer:
-    """One peel: global face index (-1 none), hard flag, signed distance in pixels, probability (0 where there is none), and the
-    point of the face nearest to the pixel, relative to the cell's centre. far: the corner (0..2) of the sorted face that is not on
-    the edge on which the point lies, 3 where it lies on none; None where that is not known."""
+    """One peel: global face index (-1 none; None where only silhouettes are asked for), hard flag, signed distance in pixels,
+    probability (0 where there is none), and the point of the face nearest to the pixel, relative to the cell's centre. far: the corner
+    (0..2) of the sorted face that is not on the edge on which the point lies, 3 where it lies on none; None where that is not known."""
 
-    face: Node
+    face: Node | None
     hard: Node
     dist: Node
     probability: Node
@@ -170,16 +169,32 @@ class Layer:
 
 
 class _Rasterized:
-    """What both distances share: one layer or more, their blends, and attributes at their points."""
+    """What both distances share: one layer or more, their blends, and attributes at their points. faces: whether it matters which face
+    a pixel shows, and not only whether there is one."""
 
-    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         self.clip, self.topology, self.atlas, self.softness, self.near = clip, topology, atlas, softness, near
         self.position = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
-        self.segments = _segments(clip, topology, atlas, near)
+        self.ends = [np.concatenate([v * topology.vertex_count + topology.edges[:, k] for v in range(atlas.views)]) for k in (0, 1)]
+        self.segments = _segments((lookup(stop_gradient(clip), e) for e in self.ends), atlas, near)  # of all edges; no gradient
         self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
         self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
                      "face_count": len(topology.faces), "near": float(near), **self.cells}
-        self.front = apply("rasterize_hard", clip, constant_table(topology.sorted_faces.reshape(-1)), **self.draw)
+        self.front = self._front() if faces else self._covered()
+
+    def _front(self) -> Node:
+        """The face in front of each pixel, over all views; -1 where there is none."""
+        return apply("rasterize_hard", self.clip, constant_table(self.topology.sorted_faces.reshape(-1)), **self.draw)
+
+    def _covered(self) -> Node:
+        """0 where there is a face in front, -1 where there is none."""
+        t = self.topology
+        behind = count_set(select(stop_gradient(self.clip).w >= self.near, 0, 1)) if t.closed.any() else constant_table(np.ones(1, int))
+        return apply("rasterize_covered", self.clip, constant_table(np.column_stack([t.faces, t.closed])), behind, **self.draw)
+
+    def _listed_segments(self, edges: Compact) -> Node:
+        """Those of listed edges."""
+        return _segments((edges.lookup(self.clip, e) for e in self.ends), self.atlas, self.near)
 
     def _nearest(self, segment: Node, hard: Node) -> tuple[Node, Node]:
         """Signed distance of the pixel to its segment, and the point of the face nearest to it."""
@@ -196,7 +211,7 @@ class _Rasterized:
     def face_boxes(self) -> Node:
         """For each view and face the pixels it can own."""
         t, views = self.topology, self.atlas.views
-        rows = [lookup(stop_gradient(self.segments), np.concatenate([v * len(t.edges) + t.face_edges[:, k] for v in range(views)]))
+        rows = [lookup(self.segments, np.concatenate([v * len(t.edges) + t.face_edges[:, k] for v in range(views)]))
                 for k in range(3)]
         low = [select(s.x < 1e8, minimum(s.xy, s.zw), 1e9) for s in rows]
         high = [select(s.x < 1e8, maximum(s.xy, s.zw), -1e9) for s in rows]
@@ -262,18 +277,18 @@ class Outline(_Rasterized):
     """Distance "outline": the front faces, drawn hard, and around the mesh's fold and boundary edges the nearest of them.
 
     A pixel beside an uncovered one, across the nearest point of its edge, has an alpha of its distance to that edge; so has any
-    uncovered pixel within r. All others have the stencil's. The edges are listed on the device first. colored: colours are asked for,
-    so that all is drawn together where there are faces; else only what is beside the outline is.
+    uncovered pixel within r. All others have the stencil's. The edges are listed on the device first. With faces all is drawn together
+    where there are faces, else only what is beside the outline.
     """
 
-    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, colored: bool = False):
-        super().__init__(clip, topology, atlas, softness, near)
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True):
+        super().__init__(clip, topology, atlas, softness, near, faces)
         count, r = len(topology.edges), float(softness.r)
-        folds = apply("fold_segments", stop_gradient(self.segments), stop_gradient(clip), constant_table(topology.edge_vertices),
-                      edge_count=count, vertices=topology.vertex_count)
+        folds = apply("fold_segments", stop_gradient(clip), constant_table(topology.edge_vertices), edge_count=count, views=atlas.views,
+                      vertices=topology.vertex_count, near=float(near), cell_w=atlas.width, cell_h=atlas.height)
         gaps = apply("vacant", self.front, width=BIN[0], height=BIN[1])  # away from them a fold is outline for no pixel
         edges = _listed(_around(folds, folds.x < 1e8, r + 1.75, self._view(count), atlas), gaps, each=6)
-        segments = edges.gather(self.segments)
+        segments = self._listed_segments(edges)
         fixed = stop_gradient(segments)
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
         boxes = _around(fixed, exists, r + 0.05, view, atlas)
@@ -283,8 +298,9 @@ class Outline(_Rasterized):
         place = apply("inside_tiles", slot + 1, tiles, tile=GUARDED)  # so that guards see where it is 0
         hard = self.front >= 0
         shown = lookup(self._owners(edges, view), place - 1)
-        face = select(hard, self.front, select(place > 0, apply("shift_right", shown, 2), -1))
-        if colored:
+        face = None
+        if faces:
+            face = select(hard, self.front, select(place > 0, apply("shift_right", shown, 2), -1))
             place = near_faces(face, place)
         segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
         dist, point = self._nearest(segment, hard)
@@ -315,8 +331,9 @@ class Layers(_Rasterized):
     enlarged, and only edges near it are summed to. Both are listed on the device first.
     """
 
-    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float):
-        super().__init__(clip, topology, atlas, softness, near)
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True):
+        super().__init__(clip, topology, atlas, softness, near, faces)
+        self.faces = faces
         tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=GUARDED)
         window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": GUARDED}
         across = apply("covered_window", self.front, tiles, dx=softness.reach, dy=0, **window)
@@ -324,8 +341,9 @@ class Layers(_Rasterized):
         self.edge_mask = apply("inside_tiles", mask, tiles, tile=GUARDED)  # guards do not see what is absent behind an image
         self.bins = apply("marked", mask, width=BIN[0], height=BIN[1])
         codes = [select(self.edge_mask, code, -1) for code in self._peels()]
-        codes[0] = select(codes[0] >= 0, codes[0], select(self.front >= 0, self.front * 2 + 1, -1))
-        edges = [apply("nearest_edge", code, constant_table(topology.face_edges), stop_gradient(self.segments), self.position,
+        if faces:
+            codes[0] = select(codes[0] >= 0, codes[0], select(self.front >= 0, self.front * 2 + 1, -1))
+        edges = [apply("nearest_edge", code, constant_table(topology.face_edges), self.segments, self.position,
                        self.edge_mask, face_count=len(topology.faces), edge_count=len(topology.edges)) for code in codes]
         self.layers = [self._layer(*of) for of in zip(codes, edges, self._segments_of(edges))]
 
@@ -343,12 +361,12 @@ class Layers(_Rasterized):
 
     def _segments_of(self, edges: Sequence[Node]) -> list[Node]:
         """The segment of each layer's edge. No pixel of the mask is further from it than `reach`."""
-        count, s = len(self.topology.edges), stop_gradient(self.segments)
+        count, s = len(self.topology.edges), self.segments
         reach = max(self.softness.r, math.sqrt(2) * self.softness.reach) + 0.05
         boxes = _around(s, s.x < 1e8, reach, self._view(count), self.atlas)
         listed = _listed(boxes, self.bins, each=1)
-        segments = listed.gather(self.segments)
-        where = listed.gather(boxes), stop_gradient(segments), self._center(apply("idiv", listed.entries, count))
+        segments = self._listed_segments(listed)
+        where = lookup(boxes, listed.entries), stop_gradient(segments), self._center(apply("idiv", listed.entries, count))
         places = [select(edge >= 0, lookup(listed.slots, edge) + 1, 0) for edge in edges]
         found = []
         for first in range(0, len(places), 4):  # four to an image: their sums share a loop
@@ -361,7 +379,7 @@ class Layers(_Rasterized):
         hard = select(code >= 0, apply("bit_and", code, 1), 0)
         dist, point = self._nearest(segment, hard)
         probability = select(edge >= 0, sigmoid(dist * (1.0 / self.softness.width)), 0.0)
-        return Layer(apply("shift_right", code, 1), hard, dist, probability, point)
+        return Layer(apply("shift_right", code, 1) if self.faces else None, hard, dist, probability, point)
 
     def silhouette(self) -> Node:
         """Equation 6: 1 - prod(1 - D_k) at edges, the stencil elsewhere."""
@@ -382,9 +400,8 @@ class Layers(_Rasterized):
         return front * alpha + background * (1.0 - alpha)
 
 
-def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, colored: bool = False) -> Outline | Layers:
+def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True) -> Outline | Layers:
     """A mesh rasterized as `softness` says: clip coordinates (views x vertices), `near` the smallest w in front of the cameras.
-    colored: colours are asked for, not silhouettes alone."""
-    if softness.distance == "outline":
-        return Outline(clip, topology, atlas, softness, near, colored)
-    return Layers(clip, topology, atlas, softness, near)
+    faces: what pixels show is asked for, colours or attributes; without, only silhouettes, whose layers have no `face` and which draw
+    half of a closed surface (`ops/raster.py`)."""
+    return (Outline if softness.distance == "outline" else Layers)(clip, topology, atlas, softness, near, faces)

@@ -217,7 +217,8 @@ class Problem:
         layers = target = None
         if any(loss.kind in IMAGE_LOSSES for loss in losses):
             clip = to_clip(self.parameters["vertices"], table if view is None else table.choose(view))
-            layers = rasterized(clip, self.topology, atlas, softness, table.near, any(term.kind == "color" for term in losses))
+            colored = any(term.kind == "color" for term in losses)
+            layers = rasterized(clip, self.topology, atlas, softness, table.near, faces=colored)
             target = self._target(atlas, view)
 
         def color() -> Node:
@@ -243,7 +244,7 @@ class Problem:
         background, or `<name>.silhouette` (views, height, width)."""
         n, atlas = len(self.cameras), self.all_views
         layers = rasterized(to_clip(self.parameters["vertices"], self._view_table()), self.topology, atlas, softness or Softness(),
-                        fixed_views(self.cameras).near)
+                        fixed_views(self.cameras).near, faces=color)
         alpha = layers.silhouette()
         if color:
             rgb = layers.color(self._shaded(layers, apply("literal", value=0)), compose(*self.background))
