@@ -170,3 +170,20 @@ def test_a_face_turned_away_by_less_than_rounding_is_drawn(gpu):
             np.testing.assert_array_equal(found, expected)
             turned += (expected >= 0).any()
     assert turned > 5
+
+
+def test_the_far_plane_cuts_no_silhouette(gpu):
+    """What lies behind it is drawn; cut surfaces would not be closed."""
+    p, atlas = Program(), Atlas(*SIZE, 1, 1)
+    clip = p.input("clip", Layout("table", "vec4", count=len(BALL)))
+    front = rasterized(clip, Topology(FACES, len(BALL)), atlas, Softness(), 3.0, faces=False).front
+    p.plan("draw", {}, {"front": (front, Layout("atlas", "int", *SIZE, 1, 1))})
+    with gpu.open(p) as session:
+        covered = []
+        for far in (1e3, 3.5):
+            x = project(0.8 * BALL - (0, 0, 4.5), SIZE, 3.0)
+            x[:, 2] = far * (x[:, 3] - 3.0) / (far - 3.0)
+            session.set("clip", x)
+            covered.append(session.get("front") >= 0)
+    assert covered[0].sum() > 100
+    np.testing.assert_array_equal(*covered)

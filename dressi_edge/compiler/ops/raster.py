@@ -151,7 +151,7 @@ int first = gl_InstanceIndex * {vertices}, corner = gl_VertexIndex % 3;
 ivec4 t = {faces_at}(gl_VertexIndex / 3);
 vec4 c0 = {clip_at}(first + t.x), c1 = {clip_at}(first + t.y), c2 = {clip_at}(first + t.z);
 gl_Position = corner == 0 ? c0 : corner == 1 ? c1 : c2;
-gl_Position.z *= 0.5;
+gl_Position.z *= 1.0 / 1024.0;  // the far plane clips nothing, whatever far is
 vec2 scale = vec2(0.5 * float({cell_w}), 0.5 * float({cell_h}));
 vec2 p = c0.xy / c0.w * scale, a = c1.xy / c1.w * scale - p, b = c2.xy / c2.w * scale - p;
 vec2 size = abs(a) + abs(b), far = abs(p) + size;
