@@ -9,6 +9,7 @@ from dressi_edge.cache.errors import DeviceError, InputError
 from dressi_edge.cache.layout import CHANNELS, Layout, is_int
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.functions import apply, compose, lookup, mean, stop_gradient, to_float, total
+from dressi_edge.compiler.specialize import specialize
 
 pytest_plugins = ["gpu", "sessions"]
 
@@ -201,6 +202,20 @@ def test_what_does_not_change_is_computed_once(gpu, cached_pair):
         s.step(1, "go")
         assert runs() > after
     gpu.silent()
+
+
+@pytest.mark.parametrize("channels, kept", [("xyz", ["vec3"]), ("y", ["float"])])
+def test_channels_that_are_wanted_one_by_one_are_kept_together(channels, kept):
+    """A vector of which several channels are read is one image, not one for each; of one channel alone no more is kept."""
+    p = Program()
+    still = lookup(p.input("x", TABLE, 0.5), np.arange(26) % 13)
+    moved = lookup(p.state("v", Layout("table", "float", count=13)), np.arange(26) % 13)
+    grown = moved
+    for channel in channels:
+        grown = grown * apply("swizzle", still, channels=channel)
+    cached = {}
+    grown, = specialize([grown], frozenset({"v"}), "p", cached)
+    assert [leaf.vtype for leaf in cached.values()] == kept
 
 
 def test_an_output_is_computed_again_only_if_something_it_needs_has_changed(session):

@@ -7,6 +7,7 @@ What is computed beforehand is split again by the leaves it depends on, so that 
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from ..cache.bundle_check import MAX_NEEDS
@@ -56,10 +57,15 @@ def _cut(roots: Sequence[Node], dirty: set[Node], prefix: str, cached: dict[Node
         else:
             cost[n] = float("inf") if n.inputs else n.op.cost
     new: dict[Node, Node] = {}
+    wanted = {*(x for n in order if n in dirty for x in n.inputs), *roots} - dirty
+    parts = Counter(x.inputs[0] for x in wanted if x.op.name == "swizzle")  # how many of its channels a clean vector is wanted for
 
     def keep(n: Node) -> Node:
         """n itself, rebuilt, or its cached leaf."""
         if n.op.stage in ("leaf", "inline") or cost[n] <= KEEP_COST or new[n].op.name == "cached":
+            return new[n]
+        if n.op.name == "swizzle" and parts[n.inputs[0]] > 1:  # one image instead of several
+            new[n] = intern(n.op, (keep(n.inputs[0]),), n.attrs, n.vtype, n.extent)
             return new[n]
         if n not in cached:
             stored = {} if n.half is None else {"half": n.half}
