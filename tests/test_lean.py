@@ -23,8 +23,9 @@ pytest_plugins = ["gpu"]
 INSTALLED_BYTES = 400_000  # of Python, the generated binding included
 IMPORTS = 100  # modules beyond those of numpy and msgpack
 SPANS = 5  # in the second half of the cycles, after each of which the process is weighed
-RSS_GROWTH = 16 << 10  # a session in the span that grew least: what leaks grows in all, what the allocator does not give back in some
-LAYER_GROWTH = 40 << 10  # the same with synchronization validation, of which the layer itself keeps 20 kB a session: docs/embedding.md
+# Of a session in the span that grew least: what leaks grows in all, what the allocator does not give back in some. The pipelines of one are
+# fifty times that; synchronization validation keeps 20 kB a session of its own (docs/embedding.md).
+RSS_GROWTH = 64 << 10
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +79,9 @@ def test_over_many_sessions_the_layer_is_silent(bundle):
 
 @PROC
 @pytest.mark.full
-@pytest.mark.parametrize("checks, environment, growth", [("alone", {}, RSS_GROWTH), ("objects", LAYER, RSS_GROWTH),
-                                                         ("synchronization", {}, LAYER_GROWTH)])
-def test_1000_sessions_one_after_another_leave_nothing(bundle, checks, environment, growth):
-    assert kept_a_session(bundle, 1000, checks, **environment) < growth
+@pytest.mark.parametrize("checks, environment", [("alone", {}), ("objects", LAYER), ("synchronization", {})])
+def test_1000_sessions_one_after_another_leave_nothing(bundle, checks, environment):
+    assert kept_a_session(bundle, 1000, checks, **environment) < RSS_GROWTH
 
 
 @pytest.mark.full
