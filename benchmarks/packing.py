@@ -12,7 +12,7 @@ needed, and what the targets show does not matter: only their size does. The num
 --docs.
 
 It stops with an error unless a profile that allows at least as much as another never takes more stages; six-view geometry on `limit4` is at
-most 20 stages and 16 pipelines a step; and 24 views take no more than six.
+most 20 stages and 17 pipelines a step; and 24 views take no more than six.
 """
 
 from __future__ import annotations

@@ -135,31 +135,31 @@ def test_half_of_the_faces_cover_what_all_do(gpu, mesh):
 # That half is drawn, and when not
 
 
+def covered(clip, closed, behind, views):
+    """The op on one triangle in each view, said to be of a closed surface or not: it believes it."""
+    return apply("rasterize_covered", clip, constant_table(np.array([(0, 1, 2, closed)])), constant_table(np.array([behind])), views=views,
+                 extent=Atlas(*SIZE, views, views).extent, vertices=3, face_count=1, near=NEAR, cell_w=SIZE[0], cell_h=SIZE[1],
+                 columns=views)
+
+
 @pytest.mark.parametrize("closed, behind, drawn", [(1, 0, (1, 0)), (0, 0, (1, 1)), (1, 3, (1, 1))])
 def test_faces_turned_away_are_left_out_of_what_is_closed_and_before_the_near_plane(gpu, closed, behind, drawn):
-    """One triangle and its mirror image, said to be of a closed surface: the op believes it."""
+    """One triangle and its mirror image."""
     p = Program()
     clip = p.input("clip", Layout("table", "vec4", count=6))
-    front = apply("rasterize_covered", clip, constant_table(np.array([(0, 1, 2, closed)])), constant_table(np.array([behind])), views=2,
-                  extent=Atlas(*SIZE, 2, 2).extent, vertices=3, face_count=1, near=NEAR, cell_w=SIZE[0], cell_h=SIZE[1], columns=2)
-    p.plan("draw", {}, {"front": (front, Layout("atlas", "int", *SIZE, 2, 2))})
+    p.plan("draw", {}, {"front": (covered(clip, closed, behind, 2), Layout("atlas", "int", *SIZE, 2, 2))})
     one = np.array([(-0.9, -0.8, FAR / 2, 1.0), (0.9, -0.7, FAR / 2, 1.0), (0.1, 0.9, FAR / 2, 1.0)]) * (1, 1, 1 / FAR, 1)
     with gpu.open(p) as session:
         session.set("clip", np.concatenate([one, one * (-1, 1, 1, 1)]))
-        covered = (session.get("front") >= 0).sum(axis=(1, 2))
-    assert tuple((covered > 200).astype(int)) == drawn and set(covered[covered <= 200]) <= {0}
+        pixels = (session.get("front") >= 0).sum(axis=(1, 2))
+    assert tuple((pixels > 200).astype(int)) == drawn and set(pixels[pixels <= 200]) <= {0}
 
 
 def test_a_face_turned_away_by_less_than_rounding_is_drawn(gpu):
     """Its corners are moved to the grid of corners by the device, which may turn it round."""
     p = Program()
-    clip = p.input("clip", Layout("table", "vec4", count=3))
-    attrs = {"views": 1, "extent": Atlas(*SIZE, 1, 1).extent, "vertices": 3, "face_count": 1, "near": NEAR, "cell_w": SIZE[0],
-             "cell_h": SIZE[1], "columns": 1}
-    said_closed = apply("rasterize_covered", clip, constant_table(np.array([(0, 1, 2, 1)])), constant_table(np.array([0])), **attrs)
-    open_one = apply("rasterize_covered", clip, constant_table(np.array([(0, 1, 2, 0)])), constant_table(np.array([0])), **attrs)
-    image = Layout("atlas", "int", *SIZE, 1, 1)
-    p.plan("draw", {}, {"closed": (said_closed, image), "open": (open_one, image)})
+    clip, image = p.input("clip", Layout("table", "vec4", count=3)), Layout("atlas", "int", *SIZE, 1, 1)
+    p.plan("draw", {}, {"closed": (covered(clip, 1, 0, 1), image), "open": (covered(clip, 0, 0, 1), image)})
     rng, turned = np.random.default_rng(4), 0
     with gpu.open(p) as session:
         for _ in range(300):
@@ -179,11 +179,11 @@ def test_the_far_plane_cuts_no_silhouette(gpu):
     front = rasterized(clip, Topology(FACES, len(BALL)), atlas, Softness(), 3.0, faces=False).front
     p.plan("draw", {}, {"front": (front, Layout("atlas", "int", *SIZE, 1, 1))})
     with gpu.open(p) as session:
-        covered = []
+        masks = []
         for far in (1e3, 3.5):
             x = project(0.8 * BALL - (0, 0, 4.5), SIZE, 3.0)
             x[:, 2] = far * (x[:, 3] - 3.0) / (far - 3.0)
             session.set("clip", x)
-            covered.append(session.get("front") >= 0)
-    assert covered[0].sum() > 100
-    np.testing.assert_array_equal(*covered)
+            masks.append(session.get("front") >= 0)
+    assert masks[0].sum() > 100
+    np.testing.assert_array_equal(*masks)

@@ -23,9 +23,7 @@ pytest_plugins = ["gpu"]
 INSTALLED_BYTES = 400_000  # of Python, the generated binding included
 IMPORTS = 100  # modules beyond those of numpy and msgpack
 SPANS = 5  # in the second half of the cycles, after each of which the process is weighed
-# Of a session in the span that grew least: what leaks grows in all, what the allocator does not give back in some. The pipelines of one are
-# fifty times that; synchronization validation keeps 20 kB a session of its own (docs/embedding.md).
-RSS_GROWTH = 64 << 10
+RSS_GROWTH = 4 << 20  # over the second half of the cycles: noise
 
 
 @pytest.fixture(scope="module")
@@ -62,33 +60,35 @@ PROC = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /pro
 LAYER = {"VK_INSTANCE_LAYERS": "VK_LAYER_KHRONOS_validation"}  # without a messenger it writes to stdout, where a number is expected
 
 
-def kept_a_session(bundle, sessions, checks, code=CYCLES, **environment):
-    """Bytes by which the process grows in one of many sessions one after another."""
-    sizes = [int(line) for line in python(code, bundle, sessions, checks, SPANS, **environment).split()]
-    return min(np.diff(sizes)) / (sessions // 2 // SPANS)
+def kept(bundle, sessions, checks, code=CYCLES, **environment):
+    """Bytes by which the process grows over the second half of the sessions if each span adds as much as the one that adds least: what
+    leaks is in all of them, what the allocator does not give back in some."""
+    return min(np.diff([int(line) for line in python(code, bundle, sessions, checks, SPANS, **environment).split()])) * SPANS
 
 
 @PROC
 def test_sessions_one_after_another_leave_nothing(bundle):
-    assert kept_a_session(bundle, 200, "alone") < RSS_GROWTH
+    assert kept(bundle, 200, "alone") < RSS_GROWTH
 
 
-def test_over_many_sessions_the_layer_is_silent(bundle):
-    python(CYCLES, bundle, 50, "synchronization", SPANS)
+def test_over_200_sessions_the_layer_is_silent(bundle):
+    python(CYCLES, bundle, 200, "synchronization", SPANS)
 
 
 @PROC
 @pytest.mark.full
-@pytest.mark.parametrize("checks, environment", [("alone", {}), ("objects", LAYER), ("synchronization", {})])
-def test_1000_sessions_one_after_another_leave_nothing(bundle, checks, environment):
-    assert kept_a_session(bundle, 1000, checks, **environment) < RSS_GROWTH
+@pytest.mark.parametrize("checks, environment, growth", [("alone", {}, RSS_GROWTH), ("objects", LAYER, RSS_GROWTH),
+                                                         ("synchronization", {}, 20 << 20)])
+def test_1000_sessions_one_after_another_leave_nothing(bundle, checks, environment, growth):
+    """Over the last 500. Under synchronization validation the layer itself keeps 20 kB a session: docs/embedding.md."""
+    assert kept(bundle, 1000, checks, **environment) < growth
 
 
 @pytest.mark.full
 @PROC
 def test_a_session_is_no_garbage_that_stays(bundle):
     traced = CYCLES.replace("print(rss())", "import tracemalloc; tracemalloc.start(); cycles(1); tracemalloc.clear_traces()", 1)
-    assert kept_a_session(bundle, 100, "alone", traced.replace("print(rss())", "print(tracemalloc.get_traced_memory()[0])")) < 500
+    assert kept(bundle, 100, "alone", traced.replace("print(rss())", "print(tracemalloc.get_traced_memory()[0])")) < 25_000
 
 
 def counted(table, kind, real, many):

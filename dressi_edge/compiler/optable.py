@@ -39,6 +39,7 @@ class Draw:
 
     `topology`: "triangles", or "points" (the vertex snippet sets gl_PointSize). Without `depth_test` the last primitive wins. `count`: the
     input whose last texel is how many vertices there are to draw, over the whole image in one instance; the rest must come out empty.
+    An empty triangle has its corners at one point inside the clip volume: one outside may send those around it through a clipper.
     """
 
     vertex: str

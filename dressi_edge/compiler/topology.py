@@ -48,13 +48,11 @@ class Topology:
     def closed(self) -> np.ndarray:
         """(F,) bool: whether the faces that hang together with this one are a closed surface, oriented all alike: every edge is passed
         as often one way as the other."""
-        f = self.faces.astype(np.int64)
-        start, stop = f.reshape(-1), np.roll(f, -1, axis=1).reshape(-1)
-        _, edge = np.unique(np.minimum(start, stop) * self.vertex_count + np.maximum(start, stop), return_inverse=True)
-        passed = np.bincount(edge, weights=np.where(start < stop, 1.0, -1.0))
-        part = self._parts[f[:, 0]]
+        ascents = (self.faces < np.roll(self.faces, -1, axis=1)).sum(1)  # around a face: 2 if it goes as its sorted corners do, else 1
+        passed = np.bincount(self.face_edges.reshape(-1), weights=np.outer(2 * ascents - 3, (1, 1, -1)).reshape(-1))
+        part = self._parts[self.faces[:, 0]]
         leaks = np.zeros(self.vertex_count, bool)
-        leaks[part[(passed[edge] != 0).reshape(-1, 3).any(1)]] = True
+        leaks[part[(passed[self.face_edges] != 0).any(1)]] = True
         return ~leaks[part]
 
     @property

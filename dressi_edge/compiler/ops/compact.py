@@ -17,8 +17,8 @@ from .lookup import constant_table, lookup
 CHUNK = 64
 
 
-def _chunks(name, inputs, attrs):
-    return "int", table(-(-inputs[0].extent.count // attrs.get("chunk", CHUNK)))
+def _chunks(x: Node, chunk: int = CHUNK) -> tuple[str, Extent]:
+    return "int", table(-(-x.extent.count // chunk))
 
 
 def _as_table(values: np.ndarray, count: int) -> np.ndarray:
@@ -43,11 +43,11 @@ def _running_ref(counts, count, each):
     return padded.reshape(extent.height, extent.width, 1)
 
 
-op("chunk_counts", "flags", infer=_chunks, reads="texel", ref=_counts_ref, cost=64,
+op("chunk_counts", "flags", infer=lambda name, inputs, attrs: _chunks(*inputs, attrs["chunk"]), reads="texel", ref=_counts_ref, cost=64,
    loop=Loop("for (int k_ = {i} * {chunk}; k_ < min({i} * {chunk} + {chunk}, {count}); ++k_) {", "{y} += {flags_at}(k_);"),
    sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "chunk": 64}),
    doc="Sums over chunks of so many entries, the first `count` of them.")
-op("running_counts", "counts", infer=_chunks, reads="texel", ref=_running_ref, cost=500,
+op("running_counts", "counts", infer=lambda name, inputs, attrs: _chunks(*inputs), reads="texel", ref=_running_ref, cost=500,
    loop=Loop(f"for (int k_ = 0; k_ < min({{i}} * {CHUNK} + {CHUNK}, {{count}}); ++k_) {{", "{y} += {counts_at}(k_) * {each};"),
    sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "each": 3}),
    doc="`each` times the sum of all entries up to the end of each chunk of 64; the last texel has the total.")

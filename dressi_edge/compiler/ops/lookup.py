@@ -74,7 +74,7 @@ def gather_sum(x: Node, rows: np.ndarray, cols: np.ndarray, weights: np.ndarray 
     lengths = rows[:, 1] - rows[:, 0]
     if len(cols) != lengths.sum() or (len(rows) and not np.array_equal(rows[:, 0], np.cumsum(lengths) - lengths)):
         raise GraphError("gather_sum: rows must lie end to end and cover every column")
-    entries = (slots or x).extent.count
+    entries = (x if slots is None else slots).extent.count
     if len(cols) and not 0 <= cols.min() <= cols.max() < entries:
         raise GraphError(f"gather_sum: column {cols.max()} of {x!r}; 0 to {entries - 1} are allowed")
     if len(lengths) and lengths.max() > MAX_ROW:

@@ -173,7 +173,7 @@ class _Rasterized:
     a pixel shows, and not only whether there is one."""
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
-        self.clip, self.topology, self.atlas, self.softness, self.near = clip, topology, atlas, softness, near
+        self.clip, self.topology, self.atlas, self.softness, self.near, self.faces = clip, topology, atlas, softness, near, faces
         self.position = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
         self.ends = [np.concatenate([v * topology.vertex_count + topology.edges[:, k] for v in range(atlas.views)]) for k in (0, 1)]
         self.segments = _segments((lookup(stop_gradient(clip), e) for e in self.ends), atlas, near)  # of all edges; no gradient
@@ -281,7 +281,7 @@ class Outline(_Rasterized):
     where there are faces, else only what is beside the outline.
     """
 
-    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True):
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         super().__init__(clip, topology, atlas, softness, near, faces)
         count, r = len(topology.edges), float(softness.r)
         folds = apply("fold_segments", stop_gradient(clip), constant_table(topology.edge_vertices), edge_count=count, views=atlas.views,
@@ -331,9 +331,8 @@ class Layers(_Rasterized):
     enlarged, and only edges near it are summed to. Both are listed on the device first.
     """
 
-    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True):
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         super().__init__(clip, topology, atlas, softness, near, faces)
-        self.faces = faces
         tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=GUARDED)
         window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": GUARDED}
         across = apply("covered_window", self.front, tiles, dx=softness.reach, dy=0, **window)
