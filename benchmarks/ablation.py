@@ -34,8 +34,8 @@ from reconstruct import write_report  # noqa: E402
 
 from dressi_edge import runtime  # noqa: E402
 from dressi_edge.cache.summary import stage_bytes, summary  # noqa: E402
-from dressi_edge.compiler.render.problem import Problem  # noqa: E402
-from dressi_edge.compiler.scene import pear  # noqa: E402
+from dressi_edge.compiler.io.shapes import pear  # noqa: E402
+from dressi_edge.compiler.scene.problem import Problem  # noqa: E402
 from dressi_edge.runtime.device import Device  # noqa: E402
 
 WAYS = {"full": {}, "no stage packing": {"stage_packing": False}, "no cache": {"cache": False},

@@ -43,16 +43,18 @@ from texture import pattern
 from dressi_edge import runtime
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import compile_program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.cameras import Camera, orbit
-from dressi_edge.compiler.functions import total
-from dressi_edge.compiler.program import Program
-from dressi_edge.compiler.reference_session import ReferenceSession
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import total
+from dressi_edge.compiler.graph.program import Program
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.io.cameras import Camera, orbit
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
+from dressi_edge.compiler.io.shapes import icosphere, pear
+from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
-from dressi_edge.compiler.render.problem import Loss, Problem
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, normalize, pear
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.topology import Topology
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 PARTS = ("gradient", "texture", "fit", "layers", "speed")
 ESTIMATORS = (("outline", 1), ("face", 1), ("face", 3))

@@ -34,10 +34,11 @@ from test_hardsoftras import MARGIN, renderer, torus  # noqa: E402
 
 from dressi_edge import runtime  # noqa: E402
 from dressi_edge.compiler import compile_program  # noqa: E402
-from dressi_edge.compiler.reference import evaluate  # noqa: E402
-from dressi_edge.compiler.render.hardsoftras import Softness  # noqa: E402
-from dressi_edge.compiler.scene import load_mesh, normalize, pear, sphere  # noqa: E402
-from dressi_edge.compiler.topology import Topology  # noqa: E402
+from dressi_edge.compiler.graph.reference import evaluate  # noqa: E402
+from dressi_edge.compiler.io.meshes import load_mesh, normalize  # noqa: E402
+from dressi_edge.compiler.io.shapes import pear, sphere  # noqa: E402
+from dressi_edge.compiler.render.raster import Softness  # noqa: E402
+from dressi_edge.compiler.render.topology import Topology  # noqa: E402
 from dressi_edge.runtime.device import Device  # noqa: E402
 
 GRADIENTS = ("by_clip", "by_attributes")

@@ -57,7 +57,7 @@ def build(path: Path) -> None:
     """A small problem: two states of 4000 points pulled to an input, with a picture."""
     from dressi_edge.cache.layout import Layout
     from dressi_edge.compiler import Program, compile_program
-    from dressi_edge.compiler.functions import apply, mean
+    from dressi_edge.compiler.graph.functions import apply, mean
 
     table, unit = Layout("table", "vec3", count=4000), Layout("unit", "float")
     program = Program()

@@ -91,7 +91,7 @@ def psnr_in_mask(ours: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.n
 
 def main() -> None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    from dressi_edge.compiler.scene import load_mesh, normalize
+    from dressi_edge.compiler.io.meshes import load_mesh, normalize
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("ours", type=Path)
     parser.add_argument("target", type=Path)

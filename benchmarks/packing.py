@@ -33,11 +33,12 @@ sys.path[:0] = [str(ROOT)]
 from dressi_edge.cache.profile import Profile, profile_names  # noqa: E402
 from dressi_edge.cache.summary import summary  # noqa: E402
 from dressi_edge.compiler import describe  # noqa: E402
-from dressi_edge.compiler.cameras import Camera, orbit  # noqa: E402
-from dressi_edge.compiler.render.hardsoftras import Softness  # noqa: E402
+from dressi_edge.compiler.io.cameras import Camera, orbit  # noqa: E402
+from dressi_edge.compiler.io.meshes import Mesh  # noqa: E402
+from dressi_edge.compiler.io.shapes import icosphere, pear  # noqa: E402
 from dressi_edge.compiler.render.optimizer import Adam  # noqa: E402
-from dressi_edge.compiler.render.problem import Loss, Problem  # noqa: E402
-from dressi_edge.compiler.scene import Mesh, icosphere, pear  # noqa: E402
+from dressi_edge.compiler.render.raster import Softness  # noqa: E402
+from dressi_edge.compiler.scene.problem import Loss, Problem  # noqa: E402
 
 PLAIN = ("unlimited", "limit8", "limit4")
 COUNTS = ("functions", "substages", "stages", "pipelines", "bytes_per_step")

@@ -38,17 +38,18 @@ from step import HARD, options_of, rounded, write
 from texture import pattern
 
 from dressi_edge.cache.layout import Layout
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.cameras import Camera, orbit
-from dressi_edge.compiler.functions import total
-from dressi_edge.compiler.program import Program
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import total
+from dressi_edge.compiler.graph.program import Program
+from dressi_edge.compiler.io.cameras import Camera, orbit
+from dressi_edge.compiler.io.images import linear_to_srgb
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.camera import fixed_views, to_clip
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-from dressi_edge.compiler.render.problem import Problem
+from dressi_edge.compiler.render.raster import Softness, rasterized
 from dressi_edge.compiler.render.shade import Light
-from dressi_edge.compiler.scene import Mesh
-from dressi_edge.compiler.topology import Topology
-from dressi_edge.compiler.views import linear_to_srgb
+from dressi_edge.compiler.render.topology import Topology
+from dressi_edge.compiler.scene.problem import Problem
 
 PARTS = ("rays", "shading", "gradient", "algebra")
 EDGE = 1 / 256  # pixels

@@ -14,16 +14,16 @@ from scipy.spatial.transform import Rotation
 from step import rounded
 
 from dressi_edge.cache.layout import Layout
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.cameras import orbit
-from dressi_edge.compiler.functions import constant_table, dot, gather_sum, lookup, total
-from dressi_edge.compiler.program import Program
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import constant_table, dot, gather_sum, lookup, total
+from dressi_edge.compiler.graph.program import Program
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.render.camera import fixed_views, posed_views, to_clip
+from dressi_edge.compiler.render.loss import COTANGENTS, cotangent_laplacian, uniform_laplacian
 from dressi_edge.compiler.render.normals import incidence, vertex_normals
-from dressi_edge.compiler.render.objective import COTANGENTS, cotangent_laplacian, uniform_laplacian
 from dressi_edge.compiler.render.texture import sample_texture
-from dressi_edge.compiler.scene import icosphere
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.render.topology import Topology
 
 
 def row(part: str, case: str, peer: str, error: np.ndarray, scale: float, start: float, **more) -> dict:

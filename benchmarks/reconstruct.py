@@ -34,15 +34,16 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 import metrics  # noqa: E402
 
 from dressi_edge import runtime  # noqa: E402
-from dressi_edge.compiler.cameras import Camera, orbit  # noqa: E402
-from dressi_edge.compiler.render.hardsoftras import Softness  # noqa: E402
+from dressi_edge.compiler.io.cameras import Camera, orbit  # noqa: E402
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh  # noqa: E402
+from dressi_edge.compiler.io.shapes import icosphere, pear  # noqa: E402
+from dressi_edge.compiler.io.views import Views, load_views  # noqa: E402
+from dressi_edge.compiler.io.writers import contact_sheet, loss_curve, save_mesh  # noqa: E402
 from dressi_edge.compiler.render.optimizer import Adam  # noqa: E402
-from dressi_edge.compiler.render.problem import Loss, Problem  # noqa: E402
+from dressi_edge.compiler.render.raster import Softness  # noqa: E402
 from dressi_edge.compiler.render.schedule import Schedule  # noqa: E402
 from dressi_edge.compiler.render.shade import Light  # noqa: E402
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, pear  # noqa: E402
-from dressi_edge.compiler.views import Views, load_views  # noqa: E402
-from dressi_edge.compiler.writers import contact_sheet, loss_curve, save_mesh  # noqa: E402
+from dressi_edge.compiler.scene.problem import Loss, Problem  # noqa: E402
 
 DATASETS = {"spot": "spot", "bunny": "bunny_lambert"}
 ALBEDO = (0.75, 0.72, 0.68)  # of the bunny, and its light, as its data set states them

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from step import Case, Meter, bumpy, options_of, rounded, shares, table, take_turns, views, write
 
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.render.optimizer import Sgd
-from dressi_edge.compiler.render.problem import Loss, Problem
-from dressi_edge.compiler.scene import icosphere
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 COLUMNS = ("sweep", "x", "ms", "least_ms", "cpu_ms", "of_before", "exponent", "image_MB", "most")
 

@@ -27,12 +27,13 @@ import metrics
 import numpy as np
 from reconstruct import HARD, ROOT, Bench, common_options, write_report
 
-from dressi_edge.compiler.cameras import Camera, look_at
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.io.cameras import Camera, look_at
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
+from dressi_edge.compiler.io.shapes import icosphere, pear
+from dressi_edge.compiler.io.writers import contact_sheet, loss_curve, save_mesh
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, normalize, pear
-from dressi_edge.compiler.writers import contact_sheet, loss_curve, save_mesh
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 WARM = 20  # iterations before any is timed
 TIMED = 100  # timed one by one

@@ -106,13 +106,14 @@ def build(path: Path, targets: Path) -> None:
 
     from dressi_edge.cache.layout import Layout
     from dressi_edge.compiler import Program, compile_program
-    from dressi_edge.compiler.autodiff import gradients
-    from dressi_edge.compiler.cameras import orbit
-    from dressi_edge.compiler.functions import total
+    from dressi_edge.compiler.graph.autodiff import gradients
+    from dressi_edge.compiler.graph.functions import total
+    from dressi_edge.compiler.io.cameras import orbit
+    from dressi_edge.compiler.io.shapes import icosphere
+    from dressi_edge.compiler.render.atlas import Atlas
     from dressi_edge.compiler.render.camera import fixed_views, to_clip
-    from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-    from dressi_edge.compiler.scene import icosphere
-    from dressi_edge.compiler.topology import Topology
+    from dressi_edge.compiler.render.raster import Softness, rasterized
+    from dressi_edge.compiler.render.topology import Topology
 
     mesh, atlas = icosphere(SUBDIVISIONS), Atlas.of(SIZE, SIZE, VIEWS)
     views = fixed_views(orbit(VIEWS, (15.0, -15.0), 3.0, 50.0, (SIZE, SIZE)))

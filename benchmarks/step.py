@@ -47,11 +47,12 @@ from dressi_edge.cache.profile import Profile  # noqa: E402
 from dressi_edge.cache.summary import summary  # noqa: E402
 from dressi_edge.cache.vulkan import FORMATS, USAGE_TRANSFER_SRC  # noqa: E402
 from dressi_edge.compiler import describe  # noqa: E402
-from dressi_edge.compiler.cameras import Camera, orbit  # noqa: E402
-from dressi_edge.compiler.render.hardsoftras import Softness  # noqa: E402
+from dressi_edge.compiler.io.cameras import Camera, orbit  # noqa: E402
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize  # noqa: E402
+from dressi_edge.compiler.io.shapes import icosphere, pear  # noqa: E402
 from dressi_edge.compiler.render.optimizer import Adam, Sgd  # noqa: E402
-from dressi_edge.compiler.render.problem import Loss, Problem  # noqa: E402
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, normalize, pear  # noqa: E402
+from dressi_edge.compiler.render.raster import Softness  # noqa: E402
+from dressi_edge.compiler.scene.problem import Loss, Problem  # noqa: E402
 from dressi_edge.runtime import vk  # noqa: E402
 from dressi_edge.runtime.memory import Images  # noqa: E402
 from dressi_edge.runtime.transfer import clear  # noqa: E402

@@ -36,11 +36,12 @@ from dressi_edge import runtime
 from dressi_edge.cache.profile import Profile
 from dressi_edge.cache.summary import image_bytes, summary
 from dressi_edge.compiler import describe
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.shapes import pear, sphere
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
+from dressi_edge.compiler.render.raster import Softness
 from dressi_edge.compiler.render.shade import Light
-from dressi_edge.compiler.scene import Mesh, pear, sphere
+from dressi_edge.compiler.scene.problem import Loss, Problem
 from dressi_edge.runtime.device import Device
 
 TILED = "mali_g76"

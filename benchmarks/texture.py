@@ -25,10 +25,11 @@ import numpy as np
 from step import Case, Meter, options_of, rounded, shares, table, take_turns, views, write
 
 from dressi_edge import runtime
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
+from dressi_edge.compiler.io.shapes import pear
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
-from dressi_edge.compiler.scene import Mesh, load_mesh, normalize, pear
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 COLUMNS = ("case", "ms", "least_ms", "cpu_ms", "cpu_ms_per_processor", "first_ms", "get_ms", "copy", "MB_moved", "image_MB", "touched")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from dressi_edge.cache.layout import Layout
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, compose, constant_table, dot, gather_sum, lookup, mean, total
-from dressi_edge.compiler.ir import image, is_int, table, vector_type
-from dressi_edge.compiler.program import Program
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, mean, total
+from dressi_edge.compiler.graph.ir import image, is_int, table, vector_type
+from dressi_edge.compiler.graph.program import Program
 
 ROOT = Path(__file__).resolve().parents[1]
 

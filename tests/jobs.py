@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dressi_edge.compiler.cameras import orbit
-from dressi_edge.compiler.writers import save_png
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.writers import save_png
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 24

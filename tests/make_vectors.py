@@ -17,12 +17,13 @@ from dressi_edge.cache.bundle import combine, dumps, version_of
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, constant_table, dot, lookup, mean, to_float, total
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import apply, constant_table, dot, lookup, mean, to_float, total
+from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.optimizer import Sgd
+from dressi_edge.compiler.render.raster import Softness, rasterized
 from dressi_edge.compiler.render.texture import sample_texture
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.render.topology import Topology
 
 FOLDER = Path(__file__).parent / "vectors"
 GLSLANG = "11:12.0.0"  # Debian 12's, which wrote the vectors' SPIR-V; the word in a module that names its maker has no version

@@ -8,10 +8,11 @@ from corpus import scenes
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import dot, total
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import dot, total
+from dressi_edge.compiler.render.atlas import Atlas
+from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.topology import Topology
 
 SCENE = scenes()["icosphere"]
 

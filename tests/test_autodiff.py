@@ -7,8 +7,8 @@ from graphs import Graph, layout_of
 from dressi_edge.cache.errors import GraphError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import (
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import (
     apply,
     compose,
     constant,
@@ -21,8 +21,8 @@ from dressi_edge.compiler.functions import (
     to_int,
     total,
 )
-from dressi_edge.compiler.ir import UNIT, image, is_int, topological
-from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.graph.ir import UNIT, image, is_int, topological
+from dressi_edge.compiler.graph.reference import evaluate
 
 RNG = np.random.default_rng(0)
 

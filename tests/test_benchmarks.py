@@ -18,7 +18,7 @@ import sphere_to_spot
 import storage
 import svg
 
-from dressi_edge.compiler.scene import icosphere
+from dressi_edge.compiler.io.shapes import icosphere
 
 
 def test_distances_of_concentric_spheres_are_the_difference_of_their_radii():

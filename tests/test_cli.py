@@ -13,7 +13,7 @@ from jobs import ROOT, TINY, command, write_job
 from dressi_edge import cli
 from dressi_edge.cache.profile import Profile, profile_names
 from dressi_edge.commands import run as run_module
-from dressi_edge.compiler.scene import load_mesh
+from dressi_edge.compiler.io.meshes import load_mesh
 
 
 @pytest.fixture(autouse=True)

@@ -8,11 +8,11 @@ from dressi_edge.cache import bundle
 from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import dot, total
-from dressi_edge.compiler.ops.compact import compact
-from dressi_edge.compiler.optable import apply
-from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import dot, total
+from dressi_edge.compiler.graph.ops.compact import compact
+from dressi_edge.compiler.graph.optable import apply
+from dressi_edge.compiler.graph.reference import evaluate
 
 pytest_plugins = ["gpu"]
 

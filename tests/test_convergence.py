@@ -10,11 +10,12 @@ import pytest
 from graphs import ROOT
 
 from dressi_edge import runtime
-from dressi_edge.compiler.cameras import orbit
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.meshes import load_mesh, normalize
+from dressi_edge.compiler.io.shapes import icosphere, pear
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
-from dressi_edge.compiler.scene import icosphere, load_mesh, normalize, pear
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 sys.path.append(str(ROOT / "benchmarks"))
 from metrics import Surface  # noqa: E402

@@ -6,11 +6,12 @@ from corpus import FAR, icosahedron, project, rotation
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.functions import constant_table
-from dressi_edge.compiler.optable import apply
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-from dressi_edge.compiler.scene import icosphere
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.graph.functions import constant_table
+from dressi_edge.compiler.graph.optable import apply
+from dressi_edge.compiler.io.shapes import icosphere
+from dressi_edge.compiler.render.atlas import Atlas
+from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.topology import Topology
 
 pytest_plugins = ["gpu"]
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from jobs import command
 
-from dressi_edge.compiler import demo
-from dressi_edge.compiler.results import record
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, pear
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh
+from dressi_edge.compiler.io.shapes import icosphere, pear
+from dressi_edge.compiler.scene import demo
+from dressi_edge.compiler.scene.results import record
 
 
 def test_the_distance_to_a_triangle_is_to_its_face_edges_and_corners():

@@ -14,14 +14,15 @@ from graphs import layout_of, rounded
 from dressi_edge.cache.errors import InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.cameras import Camera
-from dressi_edge.compiler.functions import constant, dot, total
-from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import constant, dot, total
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.io.cameras import Camera
+from dressi_edge.compiler.io.shapes import sphere
+from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.camera import fixed_views, posed_views, rotation_rows, to_clip
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-from dressi_edge.compiler.scene import sphere
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.topology import Topology
 
 pytest_plugins = ["gpu"]
 

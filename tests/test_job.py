@@ -9,10 +9,10 @@ import pytest
 from jobs import ROOT, SIZE, TINY, disc, write_job
 
 from dressi_edge.cache.errors import InputError
-from dressi_edge.compiler.job import load_job
-from dressi_edge.compiler.scene import icosphere
-from dressi_edge.compiler.views import srgb_to_linear
-from dressi_edge.compiler.writers import save_mesh, save_png
+from dressi_edge.compiler.io.images import srgb_to_linear
+from dressi_edge.compiler.io.shapes import icosphere
+from dressi_edge.compiler.io.writers import save_mesh, save_png
+from dressi_edge.compiler.scene.job import load_job
 
 
 def replaced(old, new):
@@ -64,7 +64,7 @@ def test_the_albedo_is_what_a_phase_optimizes(tmp_path, change, expected):
 
 
 def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path):
-    from dressi_edge.compiler import job
+    from dressi_edge.compiler.scene import job
     assert job._softness({"r": None, "r_fraction": 0.25}, 24).r == 6.0
     assert load_job(write_job(tmp_path, replaced("r = 2.0", "r_fraction = 0.1"))).phases
     assert load_job(write_job(tmp_path, replaced("delta = 0.0", "r_fraction = 0.1"))).phases

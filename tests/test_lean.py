@@ -14,7 +14,7 @@ from test_session import walk
 from dressi_edge import runtime
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.functions import apply, mean
+from dressi_edge.compiler.graph.functions import apply, mean
 from dressi_edge.runtime import vk
 from dressi_edge.runtime.device import Device
 

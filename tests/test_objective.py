@@ -6,22 +6,15 @@ from corpus import icosahedron
 
 from dressi_edge.cache.errors import GraphError
 from dressi_edge.cache.layout import Layout
-from dressi_edge.compiler import functions as F
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.ir import image, topological
-from dressi_edge.compiler.optable import apply
-from dressi_edge.compiler.program import Program
-from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.graph import functions as F
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.ir import image, topological
+from dressi_edge.compiler.graph.optable import apply
+from dressi_edge.compiler.graph.program import Program
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.render.loss import COTANGENTS, cotangent_laplacian, l1, l2, normal_consistency, uniform_laplacian
 from dressi_edge.compiler.render.normals import face_normals, vertex_normals
-from dressi_edge.compiler.render.objective import (
-    COTANGENTS,
-    cotangent_laplacian,
-    l1,
-    l2,
-    normal_consistency,
-    uniform_laplacian,
-)
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.render.topology import Topology
 
 
 def meshes() -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -14,17 +14,18 @@ from graphs import image_layout, layout_of, rounded
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, compose, constant_table, dot, gather_sum, lookup, normalize, select, total
-from dressi_edge.compiler.ir import Node, is_int, topological
-from dressi_edge.compiler.ir import image as image_extent
-from dressi_edge.compiler.ops.arithmetic import _compare
-from dressi_edge.compiler.ops.lookup import to_table
-from dressi_edge.compiler.ops.raster_reference import segment_distance2
-from dressi_edge.compiler.optable import OPS, elementwise
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, normalize, select, total
+from dressi_edge.compiler.graph.ir import Node, is_int, topological
+from dressi_edge.compiler.graph.ir import image as image_extent
+from dressi_edge.compiler.graph.ops.arithmetic import _compare
+from dressi_edge.compiler.graph.ops.lookup import to_table
+from dressi_edge.compiler.graph.ops.raster_reference import segment_distance2
+from dressi_edge.compiler.graph.optable import OPS, elementwise
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.render.atlas import Atlas
+from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.topology import Topology
 
 pytest_plugins = ["gpu"]
 

@@ -7,13 +7,13 @@ import pytest
 
 from dressi_edge.cache.errors import InputError
 from dressi_edge.cache.layout import Layout
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import constant, constant_table
-from dressi_edge.compiler.ir import UNIT, is_int, topological
-from dressi_edge.compiler.optable import apply
-from dressi_edge.compiler.program import Program
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.render.objective import l2
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import constant, constant_table
+from dressi_edge.compiler.graph.ir import UNIT, is_int, topological
+from dressi_edge.compiler.graph.optable import apply
+from dressi_edge.compiler.graph.program import Program
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.render.loss import l2
 from dressi_edge.compiler.render.optimizer import Adam, Sgd, one_minus_power
 from dressi_edge.compiler.render.schedule import Schedule
 

@@ -15,12 +15,14 @@ from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.errors import PackError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
-from dressi_edge.compiler import Program, describe, pack
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, constant_table, dot, gather_sum, mean, select, sigmoid, total
-from dressi_edge.compiler.ir import topological
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.simplify import lower, simplify
+from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.formats import format_bits
+from dressi_edge.compiler.graph.functions import apply, constant_table, dot, gather_sum, mean, select, sigmoid, total
+from dressi_edge.compiler.graph.ir import topological
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.passes import pack, split, substage
+from dressi_edge.compiler.passes.simplify import lower, simplify
 
 pytest_plugins = ["gpu"]
 
@@ -121,7 +123,7 @@ def test_no_pass_asks_for_more_than_the_profile_allows(profile):
             assert count <= profile.limit(name), name
         for _, stages in assembler.stage_lists:
             for s in (s for stage in stages for s in stage.substages):
-                bits = sum(pack.FORMAT_BITS[n.vtype] for n in s.outputs)
+                bits = sum(format_bits(n) for n in s.outputs)
                 assert not profile.tile_bits or bits <= profile.tile_bits or len(s.outputs) == 1
 
 
@@ -210,25 +212,25 @@ def test_a_function_that_fits_no_profile_is_named_with_the_limit():
 
 
 def simple_split(nodes, outputs, profile):
-    """`pack._parts` as its text says it, counting everything anew for each part that is tried."""
-    whole = pack.substage(nodes, outputs)
-    if not pack.excess(whole, profile):
+    """`split._parts` as its text says it, counting everything anew for each part that is tried."""
+    whole = substage.substage(nodes, outputs)
+    if not substage.excess(whole, profile):
         return [whole]
     result, stored, pending = [], set(), list(outputs)
 
     def part(outputs):
-        return pack.substage(pack._needed([n for n in nodes if n not in stored], outputs), outputs)
+        return substage.substage(pack._needed([n for n in nodes if n not in stored], outputs), outputs)
 
     while pending:
         taken = []
-        while pending and not pack.excess(part([*taken, pending[0]]), profile):
+        while pending and not substage.excess(part([*taken, pending[0]]), profile):
             taken.append(pending.pop(0))
         if taken:
             result.append(part(taken))
             stored.update(taken)
         else:
             inside = [part([n]) for n in part(pending[:1]).nodes[:-1]]
-            fitting = [p for p in inside if p.reads and not pack.excess(p, profile)]
+            fitting = [p for p in inside if p.reads and not substage.excess(p, profile)]
             if not fitting:
                 raise PackError("nothing fits")
             pending.insert(0, max(fitting, key=lambda p: len(p.reads)).outputs[0])
@@ -259,9 +261,9 @@ def test_a_split_is_what_trying_everything_gives(seed, monkeypatch):
     for roots in (mixed, tangle(120, 20, seed), [*wide(40)[0].plans[0].outputs.values()]):
         for profile in (tight(3, 1), tight(5, 4), tight(8, 2), Profile.load("limit4"), Profile.load("mali_g76")):
             found = []
-            for split in (pack._parts, simple_split):
+            for cut in (split._parts, simple_split):
                 with monkeypatch.context() as patched:
-                    patched.setattr(pack, "_parts", split)
+                    patched.setattr(split, "_parts", cut)
                     try:
                         found.append(pack.pack_substages(roots, profile))
                     except PackError:
@@ -281,8 +283,11 @@ def test_the_work_of_packing_grows_as_the_graph_does(monkeypatch, make, name):
             return f(*args)
         return call
 
-    for function in ("_edges", "_excess"):
-        monkeypatch.setattr(pack, function, counted(getattr(pack, function)))
+    for function in ("edges", "excess_of"):
+        call = counted(getattr(substage, function))
+        for module in (pack, split, substage):
+            if hasattr(module, function):
+                monkeypatch.setattr(module, function, call)
     work = []
     for size in (900, 3600):
         roots, looks[0] = make(size), 0
@@ -298,7 +303,7 @@ BUILD = """
 import sys
 from graphs import Graph
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.functions import apply
+from dressi_edge.compiler.graph.functions import apply
 if sys.argv[2] == "later":  # other nodes first: addresses and serial numbers differ
     others = [Graph(k).program for k in range(90, 93)]
 graph = Graph(4, 40)

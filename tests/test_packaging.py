@@ -83,8 +83,6 @@ def test_importing_it_loads_no_compiler_module(part):
 ])
 def test_it_imports_only_what_its_installation_brings(part, ours, extras):
     allowed = {*sys.stdlib_module_names, *dependencies(*extras), *ours}
-    if part == "compiler":
-        allowed.add("vulkan_object")  # by vkgen, a tool of development
     found = [f"{path.relative_to(ROOT)}:{line}: {name}" for _, path in modules(part) for line, name in imports(path)
              if not within(name, allowed)]
     assert found == [], f"{part} may import {' '.join(sorted(allowed - sys.stdlib_module_names))} and the standard library"

@@ -4,13 +4,14 @@ import pytest
 
 from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
-from dressi_edge.compiler.cameras import orbit
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.shapes import icosphere
+from dressi_edge.compiler.io.views import Views
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
+from dressi_edge.compiler.render.raster import Softness
 from dressi_edge.compiler.render.shade import Light
-from dressi_edge.compiler.scene import Mesh, icosphere
-from dressi_edge.compiler.views import Views
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 SIZE = 48
 SOFT = Softness(2.0, layers=2)

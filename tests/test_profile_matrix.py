@@ -13,12 +13,13 @@ from dressi_edge import runtime
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program, describe
-from dressi_edge.compiler.cameras import orbit
-from dressi_edge.compiler.functions import apply, total
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.graph.functions import apply, total
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
-from dressi_edge.compiler.scene import Mesh, icosphere
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 pytest_plugins = ["gpu"]
 

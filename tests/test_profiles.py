@@ -10,17 +10,7 @@ import pytest
 
 from dressi_edge.cache.errors import ProfileError
 from dressi_edge.cache.limits import FEATURES, FORMATS, LIMITS
-from dressi_edge.cache.profile import (
-    OUTSIDE_READ,
-    STATUS,
-    Profile,
-    canonical,
-    folder,
-    from_device,
-    merge,
-    misfit,
-    profile_names,
-)
+from dressi_edge.cache.profile import OUTSIDE_READ, STATUS, Profile, canonical, folder, from_device, merge, misfit, profile_names
 from dressi_edge.cache.profile_check import check
 from dressi_edge.cache.profile_file import MAX_FILE_BYTES, from_khronos, to_json
 

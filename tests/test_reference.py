@@ -12,14 +12,15 @@ from graphs import Graph
 from dressi_edge.cache.errors import GraphError, InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.functions import constant, mean, total
-from dressi_edge.compiler.ir import table, topological
-from dressi_edge.compiler.ops.lookup import to_table
-from dressi_edge.compiler.optable import OPS
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.reference_session import ReferenceSession
-from dressi_edge.compiler.render.hardsoftras import Atlas, Softness, rasterized
-from dressi_edge.compiler.topology import Topology
+from dressi_edge.compiler.graph.functions import constant, mean, total
+from dressi_edge.compiler.graph.ir import table, topological
+from dressi_edge.compiler.graph.ops.lookup import to_table
+from dressi_edge.compiler.graph.optable import OPS
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.render.atlas import Atlas
+from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.runtime.session import Session
 
 RADIUS = 3.0

@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError
-from dressi_edge.compiler.charts import COLUMNS, ROWS, SIDES, cube_charts, texel_directions
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, load_texture, normalize, pear, sphere
-from dressi_edge.compiler.writers import save_mesh
+from dressi_edge.compiler.io.charts import COLUMNS, ROWS, SIDES, cube_charts, texel_directions
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, load_texture, normalize
+from dressi_edge.compiler.io.shapes import icosphere, pear, sphere
+from dressi_edge.compiler.io.writers import save_mesh
 
 SHARED_MESHES = Path(__file__).resolve().parents[2] / "shared" / "meshes"
 TRIANGLE = np.eye(3)

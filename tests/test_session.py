@@ -8,8 +8,8 @@ from dressi_edge import runtime
 from dressi_edge.cache.errors import DeviceError, InputError
 from dressi_edge.cache.layout import CHANNELS, Layout, is_int
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.functions import apply, compose, lookup, mean, stop_gradient, to_float, total
-from dressi_edge.compiler.specialize import specialize
+from dressi_edge.compiler.graph.functions import apply, compose, lookup, mean, stop_gradient, to_float, total
+from dressi_edge.compiler.passes.specialize import specialize
 
 pytest_plugins = ["gpu", "sessions"]
 

@@ -6,12 +6,12 @@ from graphs import Graph
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, compose, constant, dot, mean, total
-from dressi_edge.compiler.ir import is_int, topological
-from dressi_edge.compiler.optable import OPS
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.simplify import RULES, lower, simplify
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import apply, compose, constant, dot, mean, total
+from dressi_edge.compiler.graph.ir import is_int, topological
+from dressi_edge.compiler.graph.optable import OPS
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.passes.simplify import RULES, lower, simplify
 
 SEEDS = [*range(20), *(pytest.param(s, marks=pytest.mark.full) for s in range(20, 300))]
 

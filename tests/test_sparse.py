@@ -8,12 +8,12 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.cache.vulkan import STAGE_VERTEX
 from dressi_edge.compiler import Program, describe
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import apply, constant, dot, mean, total
-from dressi_edge.compiler.reference_session import ReferenceSession
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import apply, constant, dot, mean, total
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.passes.lists import MIN_TEXELS
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
 from dressi_edge.compiler.render.texture import sample_texture
-from dressi_edge.compiler.sparse import MIN_TEXELS
 
 pytest_plugins = ["gpu"]
 

@@ -21,19 +21,20 @@ from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.functions import constant_table, dot, total
-from dressi_edge.compiler.optable import apply
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.render.hardsoftras import Softness
-from dressi_edge.compiler.render.objective import cotangent_laplacian, normal_consistency, uniform_laplacian
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import constant_table, dot, total
+from dressi_edge.compiler.graph.optable import apply
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.shapes import sphere
+from dressi_edge.compiler.io.views import Views
+from dressi_edge.compiler.render.loss import cotangent_laplacian, normal_consistency, uniform_laplacian
 from dressi_edge.compiler.render.optimizer import Adam
-from dressi_edge.compiler.render.problem import Loss, Problem
+from dressi_edge.compiler.render.raster import Softness
 from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.render.texture import sample_texture
-from dressi_edge.compiler.scene import Mesh, sphere
-from dressi_edge.compiler.topology import Topology
-from dressi_edge.compiler.views import Views
+from dressi_edge.compiler.render.topology import Topology
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 pytest_plugins = ["gpu"]
 

@@ -16,19 +16,20 @@ from dressi_edge.cache.verify import violations
 from dressi_edge.cache.vulkan import HALF_FORMATS
 from dressi_edge.cli import main
 from dressi_edge.compiler import Program, describe
-from dressi_edge.compiler.cameras import orbit
-from dressi_edge.compiler.functions import apply, constant_table, dot, lookup, total
-from dressi_edge.compiler.ir import topological
-from dressi_edge.compiler.ops.half import LARGEST
-from dressi_edge.compiler.optable import OPS
-from dressi_edge.compiler.reference import evaluate
-from dressi_edge.compiler.reference_session import ReferenceSession
-from dressi_edge.compiler.render.hardsoftras import Softness
+from dressi_edge.compiler.graph.functions import apply, constant_table, dot, lookup, total
+from dressi_edge.compiler.graph.ir import topological
+from dressi_edge.compiler.graph.ops.half import LARGEST
+from dressi_edge.compiler.graph.optable import OPS
+from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.shapes import icosphere
+from dressi_edge.compiler.passes.store import halve
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
-from dressi_edge.compiler.render.problem import Loss, Problem
+from dressi_edge.compiler.render.raster import Softness
 from dressi_edge.compiler.render.shade import Light
-from dressi_edge.compiler.scene import Mesh, icosphere
-from dressi_edge.compiler.storage import halve
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 pytest_plugins = ["gpu"]
 

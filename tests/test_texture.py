@@ -7,13 +7,13 @@ from dressi_edge.cache.errors import GraphError, InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.autodiff import gradients
-from dressi_edge.compiler.emit import hardware_filter
-from dressi_edge.compiler.functions import apply, constant, dot, mean, total
-from dressi_edge.compiler.ir import UNIT, image, topological
-from dressi_edge.compiler.ops.inverse_uv import inverse_uv
-from dressi_edge.compiler.ops.texture import footprint
-from dressi_edge.compiler.reference import evaluate
+from dressi_edge.compiler.backend.emit import hardware_filter
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import apply, constant, dot, mean, total
+from dressi_edge.compiler.graph.ir import UNIT, image, topological
+from dressi_edge.compiler.graph.ops.inverse_uv import inverse_uv
+from dressi_edge.compiler.graph.ops.texture import footprint
+from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.render.optimizer import Adam
 from dressi_edge.compiler.render.texture import sample_texture
 

@@ -14,7 +14,7 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.cli import main
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.needs import shadowed
+from dressi_edge.compiler.backend.needs import shadowed
 
 pytest_plugins = ["gpu"]
 

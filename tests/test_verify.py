@@ -22,7 +22,7 @@ from dressi_edge.cache.shader_check import check_shaders
 from dressi_edge.cache.spirv_interface import parse
 from dressi_edge.cache.verify import violations
 from dressi_edge.compiler import Program, compile_program
-from dressi_edge.compiler.optable import apply
+from dressi_edge.compiler.graph.optable import apply
 
 pytest_plugins = ["profile_bundles"]
 

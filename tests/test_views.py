@@ -9,17 +9,12 @@ import pytest
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError
-from dressi_edge.compiler.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
-from dressi_edge.compiler.scene import Mesh, load_mesh, normalize, pear
-from dressi_edge.compiler.views import (
-    Views,
-    linear_to_srgb,
-    load_gltf_cameras,
-    load_images,
-    load_views,
-    srgb_to_linear,
-)
-from dressi_edge.compiler.writers import save_json, save_png
+from dressi_edge.compiler.io.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
+from dressi_edge.compiler.io.images import linear_to_srgb, load_images, srgb_to_linear
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
+from dressi_edge.compiler.io.shapes import pear
+from dressi_edge.compiler.io.views import Views, load_gltf_cameras, load_views
+from dressi_edge.compiler.io.writers import save_json, save_png
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -49,7 +49,7 @@ def test_a_struct_has_the_size_it_has_in_c(name):
 
 
 def test_the_file_is_what_the_generator_writes():
-    from dressi_edge.compiler import vkgen
+    import vkgen
 
     assert Path(vk.__file__).read_text(encoding="utf-8") == vkgen.generate()
 

@@ -12,8 +12,9 @@ from PIL import Image
 from dressi_edge.cache import bundle
 from dressi_edge.cache.errors import InputError
 from dressi_edge.commands.files import write_file
-from dressi_edge.compiler.scene import Mesh, icosphere, load_mesh, pear
-from dressi_edge.compiler.writers import contact_sheet, loss_curve, save_json, save_mesh, save_png, to_bytes
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh
+from dressi_edge.compiler.io.shapes import icosphere, pear
+from dressi_edge.compiler.io.writers import contact_sheet, loss_curve, save_json, save_mesh, save_png, to_bytes
 from dressi_edge.runtime import checkpoint
 
 

@@ -13,8 +13,8 @@ from .files import check_folder, print_json
 def compile_job(args) -> None:
     check_folder(args.output)
     profiles = [Profile.load(name) for name in args.profile]
-    from ..compiler.job import load_job
-    from ..compiler.needs import shadowed
+    from ..compiler.backend.needs import shadowed
+    from ..compiler.scene.job import load_job
     start = time.perf_counter()
     description = load_job(args.job).compile(profiles, args.output, storage=args.storage)
     seconds = time.perf_counter() - start

@@ -9,9 +9,10 @@ import numpy as np
 
 from .. import runtime
 from ..cache.errors import InputError
-from ..compiler import demo as problems
-from ..compiler import results
-from ..compiler.scene import Mesh, pear
+from ..compiler.io.meshes import Mesh
+from ..compiler.io.shapes import pear
+from ..compiler.scene import demo as problems
+from ..compiler.scene import results
 from ..runtime.device import Device
 from .run import solve
 

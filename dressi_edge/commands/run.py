@@ -75,9 +75,9 @@ def _open(args):
     if args.device == "reference":
         if not args.bundle.endswith(".toml"):
             raise InputError(f"{args.bundle}: --device reference runs a job (.toml), for a bundle holds no graph; give the job")
-        from ..compiler.job import load_job
-        from ..compiler.reference_session import ReferenceSession
-        from ..compiler.results import record
+        from ..compiler.graph.reference_session import ReferenceSession
+        from ..compiler.scene.job import load_job
+        from ..compiler.scene.results import record
         problem = load_job(args.bundle)
         problem.program.meta.update(record(problem))
         return ReferenceSession(problem.program)
@@ -113,7 +113,7 @@ def run(args) -> int:
     kind = args.output and _check_output(args.output)
     results = None
     if kind == "mesh":
-        from ..compiler import results
+        from ..compiler.scene import results
     with _open(args) as session:
         todo = _todo(session, args)
         before = None

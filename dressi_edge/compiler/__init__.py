@@ -12,13 +12,13 @@ from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
 from ..cache.errors import ProfileError
 from ..cache.profile import Profile
-from . import ops as _ops  # noqa: F401  (fills the op table)
-from .inspect import count_functions, trace
-from .needs import needs
-from .plan import Assembler
-from .program import Program
-from .sparse import MIN_TEXELS
-from .storage import choose, halve
+from .backend.assembler import Assembler
+from .backend.inspect import count_functions, trace
+from .backend.needs import needs
+from .graph import ops as _ops  # noqa: F401  (fills the op table)
+from .graph.program import Program
+from .passes.lists import MIN_TEXELS
+from .passes.store import choose, halve
 
 __all__ = ["Program", "compile_program", "describe"]
 

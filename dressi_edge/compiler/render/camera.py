@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cameras import Camera
-from ..functions import apply, channels, compose, constant_table, dot, lookup, select, sqrt
-from ..ir import Node
+from ..graph.functions import apply, channels, compose, constant_table, dot, lookup, select, sqrt
+from ..graph.ir import Node
+from ..io.cameras import Camera
 
 
 @dataclass(frozen=True)

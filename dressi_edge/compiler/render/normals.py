@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...cache.errors import GraphError
-from ..functions import compose, cross, dot, gather_sum, lookup, select, sqrt, stop_gradient
-from ..ir import Node
-from ..topology import Topology
+from ..graph.functions import compose, cross, dot, gather_sum, lookup, select, sqrt, stop_gradient
+from ..graph.ir import Node
+from .topology import Topology
 
 # Below this sine of the angle between two sides, a normal's direction is fp32 rounding noise, and so would be its gradient.
 DEGENERATE = 1e-6

@@ -9,10 +9,10 @@ import math
 from dataclasses import dataclass
 
 from ...cache.errors import InputError
-from ..functions import clamp, compose, maximum, minimum, select, sqrt, to_float
-from ..ir import UNIT, Node
-from ..optable import apply, as_node
-from ..program import Program
+from ..graph.functions import clamp, compose, maximum, minimum, select, sqrt, to_float
+from ..graph.ir import UNIT, Node
+from ..graph.optable import apply, as_node
+from ..graph.program import Program
 from .schedule import Schedule
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields
 
 from ...cache.errors import InputError
 from ...cache.layout import beyond_fp32
-from ..functions import maximum, minimum, select, to_float
-from ..ir import UNIT, Node, is_int
-from ..optable import apply, as_node
+from ..graph.functions import maximum, minimum, select, to_float
+from ..graph.ir import UNIT, Node, is_int
+from ..graph.optable import apply, as_node
 
 KINDS = ("constant", "exponential", "linear", "cosine", "piecewise")
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from ...cache.errors import InputError
 from ...cache.layout import beyond_fp32
-from ..functions import apply, dot, maximum, minimum, normalize, select
-from ..ir import Node
+from ..graph.functions import apply, dot, maximum, minimum, normalize, select
+from ..graph.ir import Node
 
 KINDS = ("directional", "point", "ambient")
 

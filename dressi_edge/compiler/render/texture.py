@@ -5,9 +5,9 @@ In: a texture, coordinates over the screen, which pixels are covered. Out: the s
 from __future__ import annotations
 
 from ...cache.errors import InputError
-from ..functions import select
-from ..ir import UNIT, Node
-from ..optable import apply, as_node
+from ..graph.functions import select
+from ..graph.ir import UNIT, Node
+from ..graph.optable import apply, as_node
 
 GRADIENTS = ("exact", "inverse_uv", "none")
 

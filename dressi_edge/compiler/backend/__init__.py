@@ -1,0 +1,1 @@
+"""From packed stages to a bundle's description: GLSL, SPIR-V, images, needs."""

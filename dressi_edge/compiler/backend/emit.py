@@ -1,0 +1,290 @@
+"""A substage to GLSL: one vertex and one fragment shader a draw, and what they bind.
+
+In: a `Substage`, the profile. Out: `Draws`: shader texts and bindings in order. Names are local numbers, so equal substages
+give equal text and share one module. Ops whose loop headers come out equal share one loop.
+"""
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from ...cache.profile import Profile
+from ..graph.formats import format_of
+from ..graph.ir import UNIT, Extent, Node, is_int
+from ..graph.ops.leaf import literal_glsl
+from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
+from ..passes.domains import Guard
+from ..passes.substage import Substage
+
+SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
+
+_HEAD = "#version 450\n#extension GL_EXT_samplerless_texture_functions : require\n"
+FULLSCREEN = _HEAD + """void main() {
+    gl_Position = vec4(vec2((gl_VertexIndex << 1) & 2, gl_VertexIndex & 2) * 2.0 - 1.0, 0.0, 1.0);
+}
+"""
+
+
+_CORNER = "vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);\n"
+_PLACE = "gl_Position = vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0);\n"
+TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+ivec2 at = ivec2(tile % {across}, tile / {across});
+vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
+""" + _CORNER + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
+"""
+# Of a list: the columns that are full, then the one that is not.
+LISTED = """int corner = gl_VertexIndex % 6, full = {entries} / ({column} * {h}), rest = {entries} - full * {column} * {h};
+bool last = gl_VertexIndex >= 6;
+vec2 low = vec2(last ? full * {column} : 0, 0);
+vec2 high = vec2((last ? full + 1 : full) * {column}, last ? (rest + {column} - 1) / {column} : {h});
+""" + _CORNER + _PLACE
+
+
+@dataclass(frozen=True)
+class Binding:
+    """One descriptor: the node's image, how it is bound, in which shader stages; for samplers the wrap."""
+
+    node: Node
+    kind: str
+    vertex: bool
+    fragment: bool
+    wrap: str = ""
+
+
+@dataclass(frozen=True)
+class DrawCode:
+    """One draw of a substage. `vertices` invocations; `views` instances over the atlas cells (`cell` = width, height, columns).
+    `count`: the node whose last texel says how many of the vertices there are to draw."""
+
+    vertex: str
+    fragment: str
+    vertices: int
+    views: int = 1
+    cell: tuple[int, int, int] | None = None
+    depth: bool = False
+    topology: str = "triangles"
+    count: Node | None = None
+
+
+def _mark(text: str, names: dict) -> str:
+    return re.sub(r"\{(\w+)\}", lambda m: str(names[m.group(1)]), text)
+
+
+def _channels(node: Node) -> str:
+    return {1: ".x", 2: ".xy", 3: ".xyz", 4: ""}[node.channels]
+
+
+def _scale(node: Node, sign: int) -> str:
+    """What turns the numbers in its image into values (sign -1), or back (1)."""
+    return f" * {literal_glsl(2.0 ** (sign * node.half))}" if node.half else ""
+
+
+def hardware_filter(node: Node, profile: Profile) -> bool:
+    """Whether the profile promises linear filtering of this image's format."""
+    return profile.format_has(format_of(node), "filter")
+
+
+def _place(i: str, column: int, height: int) -> tuple[str, str]:
+    """Column and row of an index, by shifts where they do: drivers divide negative numbers, too."""
+    if (column & (column - 1), height & (height - 1)) == (0, 0):
+        low, high = column.bit_length() - 1, (column * height).bit_length() - 1
+        return f"{i} >> {high} << {low} | {i} & {column - 1}", f"{i} >> {low} & {height - 1}"
+    return f"{i} / {column * height} * {column} + {i} % {column}", f"{i} / {column} % {height}"
+
+
+class _Emitter:
+    def __init__(self, stage: Substage, profile: Profile, guard: Guard | None, inner: Collection[Node] = ()):
+        self.stage, self.profile = stage, profile
+        self.tiled = guard.node if guard and guard.tile else None
+        self.bindings: list[Binding] = []
+        self.slots: dict[tuple[Node, str, str], int] = {}
+        vertex = {x for x, m in stage.reads if m == VERTEX}
+        fragment = {x for x, m in stage.reads if m != VERTEX}
+        for node in stage.nodes:
+            for k, x in enumerate(node.inputs):
+                mode = node.op.read(k)
+                if x.op.stage == "inline" or (mode == OWN and x in stage.nodes) or mode == COUNT:
+                    continue
+                sampler = mode == FILTERED and hardware_filter(x, profile)
+                key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, ATTACHMENT if x in inner else SAMPLED, "")
+                if key not in self.slots:
+                    self.slots[key] = len(self.bindings)
+                    self.bindings.append(Binding(x, key[1], x in vertex, x in fragment and x is not self.tiled, key[2]))
+        self.values: dict[Node, str] = {}
+        self.own: dict[int, None] = {}
+
+    def bind_vertex(self, x: Node) -> int:
+        """The binding of an image that the vertex shader of a substage reads, too."""
+        slot = self.slots.setdefault((x, SAMPLED, ""), len(self.bindings))
+        self.bindings[slot:slot + 1] = [Binding(x, SAMPLED, True, slot < len(self.bindings) and self.bindings[slot].fragment)]
+        return slot
+
+    def declarations(self, vertex: bool) -> list[str]:
+        lines = []
+        for k, b in enumerate(self.bindings):
+            if not (b.vertex if vertex else b.fragment):
+                continue
+            prefix = "i" if is_int(b.node.vtype) else ""
+            if b.kind == ATTACHMENT:
+                number = sum(other.kind == ATTACHMENT for other in self.bindings[:k])
+                lines.append(f"layout(input_attachment_index = {number}, set = 0, binding = {k}) uniform {prefix}subpassInput t{k};")
+                continue
+            if b.kind == SAMPLER:
+                lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}sampler2D t{k};")
+                lines.append(f"#define F{k}(uv) (texture(t{k}, uv){_channels(b.node)}{_scale(b.node, -1)})")
+                continue
+            lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}texture2D t{k};")
+            lines.append(f"#define T{k}(c) (texelFetch(t{k}, c, 0){_channels(b.node)}{_scale(b.node, -1)})")
+            lines.append(f"#define E{k}(i) {self._entry(k, b.node.extent)}")
+        return lines
+
+    def _entry(self, k: int, e: Extent) -> str:
+        if e.height == 1:
+            return f"T{k}(ivec2(i, 0))"
+        if e.column < e.width:
+            x, y = _place("(i)", e.column, e.height)
+            return f"T{k}(ivec2({x}, {y}))"
+        if e.width & (e.width - 1) == 0:
+            return f"T{k}(ivec2((i) & {e.width - 1}, (i) >> {e.width.bit_length() - 1}))"
+        return f"T{k}(ivec2((i) % {e.width}, (i) / {e.width}))"
+
+    def names(self, node: Node) -> dict:
+        e = node.extent
+        names = {"w": e.width, "h": e.height, "n": e.count, "type": node.vtype, "p": "pixel",
+                 "i": f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
+                 f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})",
+                 "snap": literal_glsl(2.0 ** -self.profile.limit("subPixelPrecisionBits"))}
+        for key, value in node.attrs.items():
+            names[key] = literal_glsl(value) if isinstance(value, (int, float)) else value
+        for k, (param, x) in enumerate(zip(node.op.params, node.inputs)):
+            mode = node.op.read(k)
+            names[param + "_w"], names[param + "_h"], names[param + "_n"] = x.extent.width, x.extent.height, x.extent.count
+            if x.op.stage == "inline":
+                text = literal_glsl(x.attrs["value"])
+                names[param] = f"({text})" if text[0] == "-" else text
+            elif mode == OWN:
+                names[param] = self.value(x)
+            elif mode == COUNT:
+                continue
+            elif mode == TILE:
+                width, height = node.attrs["tile"]
+                names[param] = "1" if x is self.tiled else f"T{self.slots[x, SAMPLED, '']}(pixel / ivec2({width}, {height}))"
+            else:
+                slot = self.slots.get((x, SAMPLED, ""), self.slots.get((x, SAMPLER, node.attrs.get("wrap", ""))))
+                names[param], names[param + "_at"] = f"T{slot}", f"E{slot}"
+        names["y"] = self.values.get(node, "")
+        return names
+
+    def value(self, x: Node) -> str:
+        """The variable that holds x at this texel; remembers to load it if it comes from outside."""
+        if x not in self.values:
+            slot = self.slots.get((x, SAMPLED, ""), self.slots.get((x, ATTACHMENT, "")))
+            self.own[slot] = None
+            self.values[x] = f"u{slot}"
+        return self.values[x]
+
+    def loads(self) -> list[str]:
+        lines = []
+        for slot in self.own:
+            x = self.bindings[slot].node
+            if self.bindings[slot].kind == ATTACHMENT:
+                lines.append(f"{x.vtype} u{slot} = subpassLoad(t{slot}){_channels(x)}{_scale(x, -1)};")
+                continue
+            at = "ivec2(0)" if x.extent == UNIT and self.stage.extent != UNIT else "pixel"
+            lines.append(f"{x.vtype} u{slot} = T{slot}({at});")
+        return lines
+
+    def functions(self) -> list[str]:
+        return list(dict.fromkeys(n.op.functions for n in self.stage.nodes if n.op.functions))
+
+    def pixel_body(self, guard: Guard | None) -> list[str]:
+        for k, n in enumerate(self.stage.nodes):
+            self.values[n] = f"v{k}"
+        if guard is None or guard.tile:
+            lines = self.block(self.stage.nodes)
+            return self.loads() + lines
+        first = self.block(guard.cone)
+        test = f"if ({self.value(guard.node)} == 0) discard;"
+        first = self.loads() + first
+        self.own.clear()
+        rest = self.block([n for n in self.stage.nodes if n not in guard.cone])
+        return [*first, test, *self.loads(), *rest]
+
+    def block(self, nodes: Sequence[Node]) -> list[str]:
+        """Statements of these nodes; loops with equal headers merged."""
+        depth: dict[Node, int] = {}
+        for n in nodes:
+            inner = [depth[x] for k, x in enumerate(n.inputs) if x in depth]
+            depth[n] = max(inner, default=0) + (n.op.loop is not None)
+        lines = []
+        for level in range(max(depth.values(), default=-1) + 1):
+            loops: dict[str, list[Node]] = {}
+            for n in nodes:
+                if depth[n] == level and n.op.loop is not None:
+                    lines.append(f"{n.vtype} {self.values[n]} = {n.vtype}(0);")
+                    loops.setdefault(_mark(n.op.loop.header, self.names(n)), []).append(n)
+            for header, members in loops.items():
+                body = " ".join(_mark(n.op.loop.body, self.names(n)) for n in members)
+                lines.append(f"{header} {body} {members[0].op.loop.close}")
+            for n in nodes:
+                if depth[n] == level and n.op.loop is None:
+                    lines.append(f"{n.vtype} {self.values[n]};")
+                    lines.append(self.snippet(n))
+        return lines
+
+    def snippet(self, n: Node) -> str:
+        for k, x in enumerate(n.inputs):
+            if n.op.read(k) == FILTERED and hardware_filter(x, self.profile):
+                slot = self.slots[x, SAMPLER, n.attrs["wrap"]]
+                return f"{self.values[n]} = F{slot}({self.names(n)['uv']});"
+        text = n.op.glsl(n) if callable(n.op.glsl) else n.op.glsl
+        return _mark(text, self.names(n))
+
+    def fragment(self, body: list[str], varyings: list[str]) -> str:
+        outs = [f"layout(location = {k}) out {'ivec4' if n.channels == 3 and is_int(n.vtype) else 'vec4' if n.channels == 3 else n.vtype}"
+                f" o{k};" for k, n in enumerate(self.stage.outputs)]
+        values = [self.values[n] + _scale(n, 1) for n in self.stage.outputs]
+        stores = [f"o{k} = " + (f"{'ivec4' if is_int(n.vtype) else 'vec4'}({value}, 0);" if n.channels == 3 else f"{value};")
+                  for k, (n, value) in enumerate(zip(self.stage.outputs, values))]
+        return "\n".join([_HEAD + "\n".join(self.declarations(False)), *varyings, *outs, *self.functions(), "void main() {",
+                          "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
+
+
+def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
+         inner: Collection[Node] = (), total: Node | None = None) -> tuple[list[DrawCode], list[Binding]]:
+    """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
+    read as input attachments, written by an earlier subpass of the same render pass. total: where the extent is that of a list, the node
+    whose last texel says how many entries there are; no others are drawn."""
+    e = _Emitter(stage, profile, guard, inner)
+    if not stage.raster:
+        fragment = e.fragment(e.pixel_body(guard), [])
+        names = {"w": stage.extent.width, "h": stage.extent.height, "column": stage.extent.column}
+        if total is not None:
+            names["entries"] = f"T{e.bind_vertex(total)}(ivec2({total.extent.width - 1}, {total.extent.height - 1}))"
+            text, vertices = LISTED, 12
+        elif guard and guard.tile:
+            tiles = guard.node.extent
+            names |= {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "tiles": f"T{e.bind_vertex(guard.node)}"}
+            text, vertices = TILES, 6 * tiles.count
+        else:
+            return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", _mark(text, names), "}", ""])
+        return [DrawCode(vertex, fragment, vertices)], e.bindings
+    node = stage.nodes[0]
+    e.values[node] = "v0"
+    attrs, draws = node.attrs, []
+    for draw in node.op.draws:
+        out = [f"layout(location = {k}) flat out {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
+        into = [f"layout(location = {k}) flat in {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
+        names = e.names(node)
+        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), *out, *e.functions(), "void main() {",
+                            _mark(draw.vertex, names), "}", ""])
+        body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
+        body = e.loads() + body
+        factor, items = draw.vertices
+        over = {"count": node.inputs[node.op.params.index(draw.count)]} if draw.count else {
+            "views": attrs["views"], "cell": (attrs["cell_w"], attrs["cell_h"], attrs["columns"])}
+        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], depth=draw.depth_test,
+                              topology=draw.topology, **over))
+    return draws, e.bindings

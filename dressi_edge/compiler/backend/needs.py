@@ -1,0 +1,62 @@
+"""What a bundle needs of a device, counted from its description: the limits and format features it really uses."""
+from __future__ import annotations
+
+from ...cache import vulkan as v
+
+
+def needs(d: dict) -> dict:
+    """{"limits": {Vulkan limit: value}, "formats": {format: [features]}}."""
+    limits: dict[str, int] = {}
+
+    def need(name: str, x: int) -> None:
+        if x:
+            limits[name] = max(limits.get(name, 0), x)
+
+    for image in d["images"]:
+        need("maxImageDimension2D", max(image["width"], image["height"]))
+    for p in d["passes"]:
+        for s in p["subpasses"]:
+            for name in ("maxColorAttachments", "maxFragmentOutputAttachments", "maxFragmentCombinedOutputResources"):
+                need(name, len(s["colors"]))
+    for p in d["pipelines"]:
+        colors = len(d["passes"][p["pass"]]["subpasses"][p["subpass"]]["colors"])
+        sampled = [b for b in p["bindings"] if b[0] != v.DESCRIPTOR_INPUT_ATTACHMENT]
+        samplers = [b for b in p["bindings"] if b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER]
+        inputs = [b for b in p["bindings"] if b[0] == v.DESCRIPTOR_INPUT_ATTACHMENT]
+        need("maxDescriptorSetSampledImages", len(sampled))
+        need("maxDescriptorSetSamplers", len(samplers))
+        need("maxDescriptorSetInputAttachments", len(inputs))
+        need("maxPerStageDescriptorInputAttachments", len(inputs))
+        for stage in (v.STAGE_VERTEX, v.STAGE_FRAGMENT):
+            need("maxPerStageDescriptorSampledImages", sum(bool(b[1] & stage) for b in sampled))
+            need("maxPerStageDescriptorSamplers", sum(bool(b[1] & stage) for b in samplers))
+            need("maxPerStageResources", sum(bool(b[1] & stage) for b in p["bindings"]) + colors * (stage == v.STAGE_FRAGMENT))
+    for plan in d["plans"]:
+        for stage in plan["stages"]:
+            need("maxFramebufferWidth", stage["width"])
+            need("maxFramebufferHeight", stage["height"])
+    formats: dict[str, set[str]] = {}
+    filtered = {ref // 2 for plan in d["plans"] for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws
+                for ref, b in zip(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"])
+                if b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER}
+    for k, image in enumerate(d["images"]):
+        if image["format"]:
+            wanted = formats.setdefault(v.FORMAT_NAMES[image["format"]], set())
+            wanted.update(f for bit, f in ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color")) if image["usage"] & bit)
+            if k in filtered:
+                wanted.add("filter")
+    return {"limits": dict(sorted(limits.items())), "formats": {name: sorted(f) for name, f in sorted(formats.items())}}
+
+
+def shadowed(descriptions: list[dict]) -> dict[str, str]:
+    """Of variants in order of preference, each (its profile's name) that no device takes for what it has, and the one before it that
+    is taken instead: a device with all that the later one needs has all that the earlier one needs."""
+    found: dict[str, str] = {}
+    for k, later in enumerate(descriptions):
+        for earlier in descriptions[:k]:
+            limits, formats = (earlier["needs"][key] for key in ("limits", "formats"))
+            if all(x <= later["needs"]["limits"].get(name, 0) for name, x in limits.items()) \
+                    and all(set(f) <= set(later["needs"]["formats"].get(name, ())) for name, f in formats.items()) \
+                    and set(later["depth_formats"]) <= set(earlier["depth_formats"]):
+                found.setdefault(later["profile"]["name"], earlier["profile"]["name"])
+    return found

@@ -1,0 +1,50 @@
+"""GLSL to SPIR-V with Debian's glslang, validated by spirv-val. Equal texts are compiled once."""
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+from ...cache.errors import DressiError
+
+_compiled: dict[tuple[str, str], bytes] = {}
+
+
+class ShaderError(DressiError):
+    """glslang or spirv-val refused a shader: a defect of the compiler, with the text that shows it."""
+
+
+def _tool(name: str) -> str:
+    path = shutil.which(name)
+    if path is None:
+        raise ShaderError(f"{name} not found; the compiler needs glslang and SPIRV-Tools "
+                          "(Debian: apt-get install glslang-tools spirv-tools)")
+    return path
+
+
+def _compile(job: tuple[str, str]) -> bytes:
+    stage, text = job
+    with tempfile.TemporaryDirectory() as folder:
+        source, out = os.path.join(folder, f"s.{stage}"), os.path.join(folder, "s.spv")
+        with open(source, "w") as f:
+            f.write(text)
+        for command in ([_tool("glslangValidator"), "-V", "--target-env", "vulkan1.0", "-g0", "-o", out, source],
+                        [_tool("spirv-val"), "--target-env", "vulkan1.0", out]):
+            done = subprocess.run(command, capture_output=True, text=True)
+            if done.returncode:
+                numbered = "\n".join(f"{k + 1:4} {line}" for k, line in enumerate(text.splitlines()))
+                raise ShaderError(f"{os.path.basename(command[0])} refused a shader: {(done.stdout + done.stderr).strip()}\n{numbered}")
+        with open(out, "rb") as f:
+            return f.read()
+
+
+def compile_all(jobs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], bytes]:
+    """SPIR-V for each (stage "vert" or "frag", GLSL text)."""
+    jobs = list(dict.fromkeys(jobs))
+    missing = [job for job in jobs if job not in _compiled]
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        _compiled.update(zip(missing, pool.map(_compile, missing)))
+    return {job: _compiled[job] for job in jobs}

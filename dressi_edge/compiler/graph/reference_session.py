@@ -1,0 +1,96 @@
+"""The program of a problem run in NumPy float64, with the face of a runtime session: what `--device reference` runs.
+
+In: a `Program`. Out: set, get, step and loss as `dressi_edge.runtime.Session` has them. Nothing is cached, packed or
+rounded; slow.
+"""
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ...cache.steps import bounded, check_step
+from .program import PlanSpec, Program
+from .reference import evaluate
+
+
+class ReferenceSession:
+    """A context manager. Values are kept as images (height, width, channels)."""
+
+    def __init__(self, program: Program):
+        self.program = program
+        self.values = {name: {"name": name, "role": role} for name, role in program.roles.items()}
+        names = list(self.values)
+        self.specs = {spec.name: spec for spec in program.plans}
+        self.plans = {spec.name: {"name": spec.name, "steps": spec.steps, "updates": [names.index(n) for n in spec.updates],
+                                  "outputs": [names.index(n) for n in spec.outputs]} for spec in program.plans}
+        self.bundle = SimpleNamespace(description={"meta": program.meta,
+                                                   "profile": {"name": "reference", "digest": "reference"},
+                                                   "values": list(self.values.values()), "plans": list(self.plans.values())})
+        self.device = SimpleNamespace(name="NumPy float64", driver="reference")
+        self.phases = [spec.name for spec in program.plans if spec.updates]
+        self.phase = self.phases[0] if self.phases else None
+        self._runs = dict.fromkeys(self.specs, 0)
+        self._feed = {name: value.layout.to_image(value.initial, name, value.node.half is not None)
+                      for name, value in program.values.items() if value.initial is not None}
+
+    def __enter__(self) -> ReferenceSession:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """There is nothing to give back."""
+
+    def _known(self, name: str, roles: tuple[str, ...]) -> None:
+        if self.program.roles.get(name) not in roles:
+            known = " ".join(n for n, role in self.program.roles.items() if role in roles)
+            raise InputError(f"{name!r:.60} is no {' or '.join(roles)} of this problem; there are: {known}")
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        self._known(name, ("input", "state", "output"))
+        return self.program.values[name].layout.shape
+
+    def set(self, name: str, array) -> None:
+        self._known(name, ("input", "state"))
+        value = self.program.values[name]
+        self._feed[name] = value.layout.to_image(array, name, value.node.half is not None)
+
+    def get(self, name: str) -> np.ndarray:
+        self._known(name, ("input", "state", "output"))
+        value = self.program.values[name]
+        if self.program.roles[name] == "output":
+            spec = next(spec for spec in self.program.plans if name in spec.outputs)
+            image = evaluate([spec.outputs[name]], self._feed)[0]
+        elif name in self._feed:
+            image = self._feed[name]
+        else:
+            raise InputError(f"{name} has no value yet; set it first")
+        return value.layout.from_image(np.asarray(image)).copy()
+
+    def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
+        stop = check_step(n, seconds, cancel)
+        if phase is not None and phase not in self.phases:
+            raise InputError(f"{phase!r:.60} is no phase of this problem; there are: {' '.join(self.phases)}")
+        self.phase = phase or self.phase
+        if self.phase is None:
+            raise InputError("this problem updates nothing: there is no phase to step")
+        spec: PlanSpec = self.specs[self.phase]
+
+        def run(count: int) -> float:
+            start = time.perf_counter()
+            for _ in range(count):
+                self._feed |= dict(zip(spec.updates, evaluate(spec.updates.values(), self._feed)))
+                self._runs[spec.name] += 1
+            return (time.perf_counter() - start) / max(count, 1)
+
+        return bounded(n, run, seconds, stop)
+
+    def loss(self) -> float:
+        return float(self.get(f"{self.phase}.loss"))
+
+    def report(self) -> dict:
+        return {"device": self.device.name, "driver": self.device.driver, "profile": "reference", "runs": dict(self._runs)}

@@ -1,0 +1,1 @@
+"""Files to values and back: meshes, views, cameras, pictures."""

@@ -1,0 +1,1 @@
+"""Graph decisions: frozen value in, frozen value out; no Vulkan, no text."""

@@ -1,0 +1,96 @@
+"""Rewrite a graph to a smaller equal one, and lower composites.
+
+`lower` replaces ops that no single shader can do (`sum`) by passes. `simplify` folds literals and applies the identities of RULES;
+all rows are exact on finite values: the reference gives the same bits before and after.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...cache.layout import beyond_fp32
+from ..graph.ir import CHANNELS, UNIT, Node, intern, is_int, rebuild
+from ..graph.ops.reduce import lower_sum
+from ..graph.optable import apply
+
+
+def _value(node: Node) -> float | int | None:
+    return node.attrs["value"] if node.op.name == "literal" else None
+
+
+def _nothing(node: Node) -> bool:
+    """Whether it is zero in every channel: a literal, or a product with one."""
+    if node.op.name == "mul":
+        return any(_nothing(x) for x in node.inputs)
+    return node.op.name == "literal" and not np.any(node.attrs["value"])
+
+
+def _as(x: Node, like: Node) -> Node | None:
+    """x if it has like's type and extent."""
+    return x if (x.vtype, x.extent) == (like.vtype, like.extent) else None
+
+
+def _zero(like: Node) -> Node | None:
+    return apply("literal", value=0 if is_int(like.vtype) else 0.0) if CHANNELS[like.vtype] == 1 and like.extent.count == 1 else None
+
+
+def _channel(x: Node, k: int) -> Node:
+    return x if x.channels == 1 else apply("swizzle", x, channels="xyzw"[k])
+
+
+# op -> (inputs, node) -> replacement or None
+RULES = {
+    "add": lambda x, n: _nothing(x[0]) and _as(x[1], n) or _nothing(x[1]) and _as(x[0], n) or None,
+    "sub": lambda x, n: _as(x[0], n) if _nothing(x[1]) else None,
+    "mul": lambda x, n: (_as(x[1], n) if _value(x[0]) == 1 else _as(x[0], n) if _value(x[1]) == 1 else
+                         _zero(n) if 0 in (_value(x[0]), _value(x[1])) else None),
+    "div": lambda x, n: _as(x[0], n) if _value(x[1]) == 1 else None,
+    "neg": lambda x, n: x[0].inputs[0] if x[0].op.name == "neg" else None,
+    "stop_gradient": lambda x, n: x[0],
+    "broadcast": lambda x, n: _as(x[0], n),
+    "lookup_boxed": lambda x, n: apply("lookup", *x[:2]),  # what else these three take is for the transpose alone
+    "lookup_near": lambda x, n: apply("lookup", x[0], _channel(x[1], n.attrs["channel"]) - 1),
+    "lookup_listed": lambda x, n: apply("lookup", *x[:2]),
+    "swizzle": lambda x, n: _swizzle(x[0], n),
+    "shift_right": lambda x, n: _as(x[0], n) if _value(x[1]) == 0 else None,
+}
+
+
+def _swizzle(x: Node, node: Node) -> Node | None:
+    channels = node.attrs["channels"]
+    if channels == "xyzw"[:x.channels]:
+        return x
+    if x.op.name == "swizzle":
+        return apply("swizzle", x.inputs[0], channels="".join(x.attrs["channels"]["xyzw".index(c)] for c in channels))
+    if x.op.name.startswith("compose") and len(channels) == 1:
+        return _as(x.inputs["xyzw".index(channels)], node)
+    return None
+
+
+def simplify(roots: Sequence[Node]) -> list[Node]:
+    """The roots' equals after literal folding and RULES."""
+
+    def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
+        if inputs and all(x.op.name == "literal" for x in inputs) and node.extent == UNIT and node.op.stage == "pixel":
+            value = node.op.ref(*(x.op.ref(_value(x)) for x in inputs), **node.attrs)[0, 0]
+            if not beyond_fp32(value).any():
+                value = tuple(map(int if is_int(node.vtype) else float, value))
+                return apply("literal", value=value if len(value) > 1 else value[0])
+        rule = RULES.get(node.op.name)
+        return (rule and rule(inputs, node)) or intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+
+    new = rebuild(roots, rewrite)
+    return [new[root] for root in roots]
+
+
+def lower(roots: Sequence[Node]) -> list[Node]:
+    """The roots' equals without composite ops."""
+
+    def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
+        if node.op.name == "sum":
+            return lower_sum(inputs[0], node.attrs["count"])
+        return intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+
+    new = rebuild(roots, rewrite)
+    return [new[root] for root in roots]

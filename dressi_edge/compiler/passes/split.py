@@ -1,0 +1,164 @@
+"""A substage that breaks a limit, cut into several that keep it.
+
+In: the nodes of a substage, their outputs, a profile. Out: substages in order; later ones read what earlier ones give.
+"""
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from ...cache.errors import PackError
+from ...cache.profile import Profile
+from ..graph.ir import Node
+from ..graph.optable import FILTERED, VERTEX
+from .substage import Substage, edges, excess, excess_of, substage
+
+SPLIT_COST = 50  # work without loops that each part of a split substage may do again
+PASS_COST = 100_000  # work over all texels that is worth a pass of its own
+
+
+def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Substage]:
+    """One substage, or several that each keep the limits: outputs in order, each with what it needs; later parts read the outputs of
+    earlier ones. What several would compute and costs more than a pass is stored before them."""
+    whole = substage(nodes, outputs)
+    if not excess(whole, profile):
+        return [whole]
+    before: list[Node] = []
+    while True:
+        parts = _parts(nodes, list(dict.fromkeys([*before, *outputs])), profile)
+        computed = Counter(n for part in parts for n in part.nodes
+                           if (n.op.loop or n.op.cost > SPLIT_COST) and n.op.cost * n.extent.count > PASS_COST)
+        again = {n for n, times in computed.items() if times > 1}
+        if not again:
+            return parts
+        inner = {x for n in again for x, _ in edges(n)} - {x for n in nodes if n not in again for x, _ in edges(n)}
+        before += sorted(again - inner, key=nodes.index)
+
+
+def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:
+    """Substages that give these in order. A single one that is too wide is cut inside at the widest node that fits."""
+    result: list[Substage] = []
+    cones, pending = _Cones(nodes, profile), list(outputs)
+    while pending:
+        taken: list[Node] = []
+        while pending and cones.fit([*taken, pending[0]]):
+            taken.append(pending.pop(0))
+        if taken:
+            result.append(substage(cones.nodes(taken), taken))
+            cones.store(taken)
+        else:
+            pending.insert(0, cones.cut(pending[0]))
+    return result
+
+
+class _Cones:
+    """What each node of a group reads from outside if it is computed with all it needs, down to what is stored.
+
+    The reads are four sets, as bits: (node, mode), nodes, nodes read in the vertex shader, through a filter; None where they alone
+    break a limit, as they then do for every node above. So storing a node changes little, and 10,000 functions take seconds.
+    """
+
+    def __init__(self, nodes: Sequence[Node], profile: Profile):
+        self.profile, self.order, self.at = profile, nodes, {n: k for k, n in enumerate(nodes)}
+        self.inputs = {n: [x for x in dict.fromkeys(x for x, _ in edges(n)) if x in self.at] for n in nodes}
+        self.users: dict[Node, list[Node]] = {n: [] for n in nodes}
+        for n in nodes:
+            for x in self.inputs[n]:
+                self.users[x].append(n)
+        self.reads: dict[Node, tuple[int, ...] | None] = {}
+        self.numbers: dict[object, int] = {}  # of the bits: of pairs and of nodes
+        self.stored: set[Node] = set()
+        self.stale = list(range(len(nodes)))  # a heap of the nodes whose reads may have changed
+        self.output: Node | None = None  # that is being cut
+        self.live: dict[Node, int] = {}  # node of its cone -> users there
+        self.widest: list[tuple[int, int]] = []  # a heap of (-reads, number) of those that fit; old entries stay in it
+
+    def _bits(self, x: Node, mode: str) -> tuple[int, ...]:
+        pair, image = (1 << self.numbers.setdefault(key, len(self.numbers)) for key in ((x, mode), x))
+        return pair, image, image * (mode == VERTEX), image * (mode == FILTERED)
+
+    def _join(self, sets: Iterable[tuple[int, ...]], outputs: Sequence[Node]) -> tuple[int, ...] | None:
+        """The union, or None where it breaks a limit."""
+        union = (0, 0, 0, 0)
+        for bits in sets:
+            union = tuple([a | b for a, b in zip(union, bits)])
+        return None if excess_of(self.profile, outputs[0].extent, outputs, *(x.bit_count() for x in union[1:])) else union
+
+    def _find(self, n: Node) -> tuple[int, ...] | None:
+        sets = []
+        for x, mode in edges(n):
+            sets.append(self.reads[x] if x in self.at and x not in self.stored else self._bits(x, mode))
+            if sets[-1] is None:
+                return None
+        return self._join(sets, [n])
+
+    def _refresh(self, last: Node) -> None:
+        """Bring the reads of all nodes up to this one up to date."""
+        while self.stale and self.stale[0] <= self.at[last]:
+            k = heapq.heappop(self.stale)
+            n = self.order[k]
+            if n in self.stored or self.stale and self.stale[0] == k:
+                continue
+            found = self._find(n)
+            if found != self.reads.get(n, ()):
+                self.reads[n] = found
+                self._changed(n)
+                if found is not None and n in self.live:
+                    heapq.heappush(self.widest, (-found[0].bit_count(), k))
+
+    def _changed(self, n: Node) -> None:
+        for user in self.users[n]:
+            heapq.heappush(self.stale, self.at[user])
+
+    def fit(self, outputs: Sequence[Node]) -> bool:
+        """Whether a substage may give these."""
+        self._refresh(outputs[-1])
+        sets = [self.reads[n] for n in outputs]
+        return None not in sets and self._join(sets, outputs) is not None
+
+    def nodes(self, outputs: Sequence[Node]) -> list[Node]:
+        """What a substage that gives these computes, in order."""
+        keep, stack = set(outputs), list(outputs)
+        while stack:
+            for x in self.inputs[stack.pop()]:
+                if x not in keep and x not in self.stored:
+                    keep.add(x)
+                    stack.append(x)
+        return sorted(keep, key=self.at.__getitem__)
+
+    def store(self, outputs: Sequence[Node]) -> None:
+        """From now on these are read."""
+        self.stored.update(outputs)
+        for n in outputs:
+            self._changed(n)
+        gone = [n for n in outputs if self.live.pop(n, None) is not None]
+        while gone:
+            for x in self.inputs[gone.pop()]:
+                if x in self.live:
+                    self.live[x] -= 1
+                    if not self.live[x]:
+                        del self.live[x]
+                        gone.append(x)
+
+    def cut(self, output: Node) -> Node:
+        """The node inside `output`'s cone to store first: the widest one that keeps the limits."""
+        if self.output is not output:
+            cone = self.nodes([output])
+            self.output, self.live = output, dict.fromkeys(cone, 0)
+            for n in cone:
+                for x in self.inputs[n]:
+                    if x in self.live:
+                        self.live[x] += 1
+            self.widest = [(-reads[0].bit_count(), self.at[n]) for n in cone if (reads := self.reads[n]) is not None]
+            heapq.heapify(self.widest)
+        while self.widest:
+            width, k = self.widest[0]
+            n = self.order[k]
+            reads = self.reads.get(n)
+            if width and n in self.live and n is not output and reads is not None and reads[0].bit_count() == -width:
+                return n
+            heapq.heappop(self.widest)
+        part = substage(self.nodes([output]), [output])
+        names = " ".join(x.name for x, _ in part.reads)
+        raise PackError(f"function {output.name} ({output.op.name}) {excess(part, self.profile)[0]}: {names}")

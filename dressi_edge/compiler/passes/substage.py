@@ -1,0 +1,82 @@
+"""One shader over one extent, and one render pass of them; which limits of a profile they break."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...cache.profile import Profile
+from ..graph.formats import format_bits
+from ..graph.ir import Extent, Node
+from ..graph.optable import COUNT, FILTERED, VERTEX
+
+
+@dataclass(frozen=True)
+class Substage:
+    """One subpass: `nodes` in order, of which `outputs` are written; `reads` are (node, mode) from outside."""
+
+    extent: Extent
+    nodes: tuple[Node, ...]
+    outputs: tuple[Node, ...]
+    reads: tuple[tuple[Node, str], ...]
+
+    @property
+    def raster(self) -> bool:
+        return self.nodes[0].op.stage == "raster"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One render pass."""
+
+    extent: Extent
+    substages: tuple[Substage, ...]
+
+
+def is_inline(node: Node) -> bool:
+    return node.op.stage == "inline"
+
+
+def is_leaf(node: Node) -> bool:
+    return node.op.stage == "leaf"
+
+
+def edges(node: Node):
+    for k, x in enumerate(node.inputs):
+        if not is_inline(x):
+            yield x, node.op.read(k)
+
+
+def substage(nodes: Sequence[Node], outputs: Sequence[Node]) -> Substage:
+    """The substage of these nodes; what it reads is derived."""
+    inside, reads = set(nodes), {}
+    for node in nodes:
+        for x, mode in edges(node):
+            if x not in inside:
+                reads[x, mode] = None
+    return Substage(nodes[0].extent, tuple(nodes), tuple(outputs), tuple(reads))
+
+
+def excess(s: Substage, profile: Profile) -> list[str]:
+    """What breaks a limit, one line each."""
+    return excess_of(profile, s.extent, s.outputs, len({x for x, m in s.reads if m != COUNT}), len({x for x, m in s.reads if m == VERTEX}),
+                   sum(m == FILTERED for _, m in s.reads))
+
+
+def excess_of(profile: Profile, extent: Extent, outputs: Sequence[Node], images: int, vertex: int, filtered: int) -> list[str]:
+    """Of a substage that reads so many images, so many of them in its vertex shader, and so many through a filter."""
+    counts = {
+        "maxColorAttachments": len(outputs), "maxFragmentOutputAttachments": len(outputs),
+        "maxFragmentCombinedOutputResources": len(outputs),
+        "maxPerStageDescriptorSampledImages": max(vertex, images - vertex),
+        "maxDescriptorSetSampledImages": images,
+        "maxPerStageResources": max(vertex, images - vertex + len(outputs)),
+        "maxPerStageDescriptorSamplers": filtered,
+        "maxFramebufferWidth": extent.width, "maxFramebufferHeight": extent.height,
+        "maxImageDimension2D": max(extent.width, extent.height),
+    }
+    lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
+             for name, found in counts.items() if found > profile.limit(name)]
+    bits = sum(map(format_bits, outputs))
+    if profile.tile_bits and bits > profile.tile_bits and len(outputs) > 1:
+        lines.append(f"needs {bits} tile colour bits a pixel; profile {profile.name} allows {profile.tile_bits}")
+    return lines

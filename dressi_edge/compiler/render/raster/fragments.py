@@ -1,0 +1,201 @@
+"""What both distances share: which face each pixel shows, barycentrics, attributes at points of faces, boxes and lists of edges.
+
+In: clip coordinates (views x vertices), topology, an atlas. Out: `Layer`s, and what is interpolated in them. Forward only: every
+gradient comes from the AD.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...graph.functions import (
+    absolute,
+    apply,
+    clamp,
+    compose,
+    constant_table,
+    dot,
+    equal,
+    lookup,
+    maximum,
+    minimum,
+    not_equal,
+    select,
+    sqrt,
+    stop_gradient,
+    to_int,
+)
+from ...graph.ir import Node, table
+from ...graph.ops.compact import Compact, compact, count_set
+from ...graph.ops.reduce import TILE
+from ..atlas import Atlas
+from ..topology import Topology
+from .softness import Softness
+
+GUARDED = (TILE, TILE // 2)  # pixels of the tiles that are drawn or not
+BIN = (8, 4)  # pixels of the bins that say what of the mesh may be left out
+# Twice the area of a face over the square of its size as seen from the pixel: below this it is rounding noise, as is its inverse.
+DEGENERATE = 1e-6
+
+
+def _cross2(a: Node, b: Node) -> Node:
+    return a.x * b.y - a.y * b.x
+
+
+def screen_segments(ends: Iterable[Node], atlas: Atlas, near: float) -> Node:
+    """Screen segments between clip coordinates, relative to the cell's centre, clipped to the near plane; 1e9 where wholly behind."""
+    scale = compose(atlas.width / 2, atlas.height / 2, 1.0)
+    a, b = (apply("swizzle", e, channels="xyw") * scale for e in ends)
+    a_behind, b_behind = a.z < near, b.z < near
+    crosses = not_equal(a_behind, b_behind)
+    cut = a + (b - a) * ((near - a.z) / select(crosses, b.z - a.z, 1.0))
+    a, b = select(apply("bit_and", crosses, a_behind), cut, a), select(apply("bit_and", crosses, b_behind), cut, b)
+    a, b = a.xy / maximum(a.z, near), b.xy / maximum(b.z, near)
+    return select(apply("bit_and", a_behind, b_behind), 1e9, compose(a, b))
+
+
+def _boxes(low: Node, high: Node, exists: Node, reach: float, view: Node, atlas: Atlas) -> Node:
+    """Half-open boxes of the atlas' pixels whose centres are within `reach` of screen bounds; empty where nothing exists."""
+    half = compose(atlas.width / 2, atlas.height / 2)
+    limit = compose(float(atlas.width), float(atlas.height))
+    origin = compose(apply("imod", view, atlas.columns) * atlas.width, apply("idiv", view, atlas.columns) * atlas.height)
+    lo = to_int(clamp(low + half - (reach - 0.5), 0.0, limit))
+    hi = to_int(clamp(high + half + (reach + 0.5), 0.0, limit))
+    box = compose(lo + origin, hi + origin)
+    return select(exists, box, 0)
+
+
+def around(segments: Node, exists: Node, reach: float, view: Node, atlas: Atlas) -> Node:
+    """`_boxes` of screen segments."""
+    return _boxes(minimum(segments.xy, segments.zw), maximum(segments.xy, segments.zw), exists, reach, view, atlas)
+
+
+def listed_boxes(boxes: Node, bins: Node, each: int) -> Compact:
+    """The boxes with pixels in a marked bin."""
+    return compact(apply("meets_tiles", boxes, bins, tile=BIN), each)
+
+
+def near_faces(face: Node, value: Node) -> Node:
+    """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only."""
+    return apply("inside_tiles", value, apply("occupied", face, width=TILE, height=TILE), tile=(TILE, TILE))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One peel: global face index (-1 none; None where only silhouettes are asked for), hard flag, signed distance in pixels,
+    probability (0 where there is none), and the point of the face nearest to the pixel, relative to the cell's centre. far: the corner
+    (0..2) of the sorted face that is not on the edge on which the point lies, 3 where it lies on none; None where that is not known."""
+
+    face: Node | None
+    hard: Node
+    dist: Node
+    probability: Node
+    point: Node
+    far: Node | None = None
+
+
+class Rasterized:
+    """What both distances share: one layer or more, their blends, and attributes at their points. faces: whether it matters which face
+    a pixel shows, and not only whether there is one."""
+
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
+        self.clip, self.topology, self.atlas, self.softness, self.near, self.faces = clip, topology, atlas, softness, near, faces
+        self.position = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
+        self.ends = [np.concatenate([v * topology.vertex_count + topology.edges[:, k] for v in range(atlas.views)]) for k in (0, 1)]
+        self.segments = screen_segments((lookup(stop_gradient(clip), e) for e in self.ends), atlas, near)  # of all edges; no gradient
+        self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
+        self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
+                     "face_count": len(topology.faces), "near": float(near), **self.cells}
+        self.front = self._front() if faces else self._covered()
+
+    def _front(self) -> Node:
+        """The face in front of each pixel, over all views; -1 where there is none."""
+        return apply("rasterize_hard", self.clip, constant_table(self.topology.sorted_faces.reshape(-1)), **self.draw)
+
+    def _covered(self) -> Node:
+        """0 where there is a face in front, -1 where there is none."""
+        t = self.topology
+        behind = count_set(select(stop_gradient(self.clip).w >= self.near, 0, 1)) if t.closed.any() else constant_table(np.ones(1, int))
+        return apply("rasterize_covered", self.clip, constant_table(np.column_stack([t.faces, t.closed])), behind, **self.draw)
+
+    def _listed_segments(self, edges: Compact) -> Node:
+        """Those of listed edges."""
+        return screen_segments((edges.lookup(self.clip, e) for e in self.ends), self.atlas, self.near)
+
+    def _nearest(self, segment: Node, hard: Node) -> tuple[Node, Node]:
+        """Signed distance of the pixel to its segment, and the point of the face nearest to it."""
+        a, b = segment.xy, segment.zw
+        d, o = b - a, self.position - a
+        squared = maximum(dot(d, d), 1e-20)
+        t = dot(o, d) / squared
+        between = apply("bit_and", t > 0.0, t < 1.0)
+        end = self.position - select(t < 0.5, a, b)
+        far = select(between, absolute(_cross2(d, o)) / sqrt(squared), sqrt(dot(end, end)))
+        return select(hard, far, -far), select(hard, self.position, a + d * clamp(t, 0.0, 1.0))
+
+    @property
+    def face_boxes(self) -> Node:
+        """For each view and face the pixels it can own."""
+        t, views = self.topology, self.atlas.views
+        rows = [lookup(self.segments, np.concatenate([v * len(t.edges) + t.face_edges[:, k] for v in range(views)]))
+                for k in range(3)]
+        low = [select(s.x < 1e8, minimum(s.xy, s.zw), 1e9) for s in rows]
+        high = [select(s.x < 1e8, maximum(s.xy, s.zw), -1e9) for s in rows]
+        low, high = minimum(minimum(low[0], low[1]), low[2]), maximum(maximum(high[0], high[1]), high[2])
+        return _boxes(low, high, low.x < 1e8, self.softness.r + 0.05, self._view(len(t.faces)), self.atlas)
+
+    def _view(self, per_view: int) -> Node:
+        """The view of each entry of a table of views x per_view."""
+        return apply("idiv", apply("texel_index", extent=table(self.atlas.views * per_view)), per_view)
+
+    def _center(self, view: Node) -> Node:
+        """The middle of a view's cell, in pixels of the atlas."""
+        a = self.atlas
+        return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
+                       (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
+
+    def corners(self, table: Node, per_view: bool = False) -> list[Node]:
+        """Tables (views x faces) of an attribute at the three sorted corners of each face."""
+        t, views = self.topology, self.atlas.views
+        step = t.vertex_count if per_view else 0
+        return [lookup(table, np.concatenate([v * step + t.sorted_faces[:, k] for v in range(views)])) for k in range(3)]
+
+    def barycentrics(self, layer: Layer) -> list[Node]:
+        """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
+        point; Olano and Greer 1997). A third each, without gradient, where the face is too thin on screen for fp32 to tell.
+
+        A point on an edge has nothing of the far corner, wherever that is: it is put across from the edge, as far away as the edge is
+        long, so that the other two keep their digits however thin the face is. The gradient by it is 0 anyhow."""
+        scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
+        h = [apply("swizzle", lookup(c, layer.face, self.face_boxes), channels="xyw") * scale for c in self.corners(self.clip, True)]
+        a = [x.xy - layer.point * x.z for x in h]
+        if layer.far is not None:
+            start, stop = (stop_gradient(select(equal(layer.far, k), a[1], a[k])) for k in (0, 2))
+            across = compose(start.x + start.y - stop.y, start.y + stop.x - start.x)
+            a = [select(equal(layer.far, k), across, x) for k, x in enumerate(a)]
+        e = [_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])]
+        total = e[0] + e[1] + e[2]
+        size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
+        solid = absolute(total) > size * DEGENERATE
+        total = select(solid, total, 1.0)
+        b = [select(solid, clamp(x / total, 0.0, 1.0), 1 / 3) for x in e]
+        norm = maximum(b[0] + b[1] + b[2], 1e-5)
+        return [x / norm for x in b]
+
+    def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None) -> Node:
+        """A vertex attribute (V table) at the layer's point; zero where there is no face."""
+        weights = weights or self.barycentrics(layer)
+        values = [lookup(c, layer.face, self.face_boxes) for c in self.corners(attribute)]
+        return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+
+    def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None) -> Node:
+        """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
+        weights = weights or self.barycentrics(layer)
+        order = np.argsort(self.topology.faces, axis=1, kind="stable")
+        sorted_corners = np.take_along_axis(np.asarray(corners)[self.topology.kept], order[..., None], 1)
+        view = apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
+        face = select(layer.face >= 0, layer.face - view * len(self.topology.faces), -1)
+        values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
+        return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]

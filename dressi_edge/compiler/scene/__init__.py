@@ -1,0 +1,1 @@
+"""What a user builds: problems and jobs in, programs out; results of a run."""

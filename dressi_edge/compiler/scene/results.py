@@ -1,0 +1,197 @@
+"""What a run leaves behind: the mesh with its texture, a contact sheet, a loss curve, and numbers.
+
+In: a session (of the runtime, or of `reference_session`) and the loss curves of its phases. Out: files and metrics.
+What the bundle must carry for that is its "meta", written by `record`: faces, uvs, phases, names of the images, cameras.
+"""
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...cache.errors import BundleError, InputError
+from ..io.cameras import inverse_rigid, rotation_matrix
+from ..io.images import linear_to_srgb
+from ..io.meshes import Mesh
+from ..io.views import Views
+from ..io.writers import MESH_SUFFIXES, contact_sheet, loss_curve, save_json, save_mesh
+
+SHOWN = 8  # views in a contact sheet
+
+
+def _pack(array: np.ndarray, kind: str) -> dict:
+    return {"type": kind, "shape": list(array.shape), "data": np.asarray(array, kind).tobytes()}
+
+
+def _unpack(meta: Mapping, name: str, kind: str, columns: int) -> np.ndarray | None:
+    """The (n, columns) array of that name in a bundle's meta, or None. Raises BundleError."""
+    entry = meta.get(name)
+    if entry is None:
+        return None
+    try:
+        if entry["type"] != kind:
+            raise ValueError(f"type {entry['type']!r:.20}, not {kind}")
+        array = np.frombuffer(entry["data"], kind).reshape(-1, columns)
+        if list(array.shape) != entry["shape"]:
+            raise ValueError(f"shape {entry['shape']!r:.40}, not {list(array.shape)}")
+        return array
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError(f"meta.{name} is malformed ({error}); compile the bundle again") from None
+
+
+def record(problem) -> dict:
+    """The meta of a `Problem`: plain values that a bundle holds."""
+    mesh, cameras = problem.mesh, problem.cameras
+    names = problem.views.names if isinstance(problem.views, Views) else tuple(f"view {k}" for k in range(len(cameras)))
+    meta = {"linear_albedo": problem.srgb, "linear_images": False, **problem.program.meta}  # linear: not sRGB encoded
+    meta |= {"faces": _pack(mesh.faces, "<i4"), "albedo": problem.albedo,
+             "albedo_color": [float(x) for x in problem.albedo_color],
+             "phases": [[spec.name, spec.steps] for spec in problem.program.plans if spec.name in problem.phases],
+             "images": list(names), "image_size": [problem.width, problem.height],
+             "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far]
+                         for c in cameras]}
+    if mesh.uvs is not None:
+        meta |= {"uvs": _pack(mesh.uvs, "<f8"), "uv_faces": _pack(mesh.uv_faces, "<i4")}
+    return meta
+
+
+def meta_of(session) -> dict:
+    """The meta of the session's bundle."""
+    return session.bundle.description["meta"]
+
+
+def _has(session, name: str) -> bool:
+    return name in session.values
+
+
+def mesh_of(session) -> Mesh:
+    """The mesh as it is on the device now. Raises BundleError where the bundle carries none."""
+    meta = meta_of(session)
+    faces = _unpack(meta, "faces", "<i4", 3)
+    if faces is None or not _has(session, "vertices"):
+        raise BundleError("this bundle carries no mesh (meta.faces); compile it from a job or a Problem")
+
+    def encoded(colors: np.ndarray) -> np.ndarray:
+        colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
+        return linear_to_srgb(colors) if meta.get("linear_albedo") else colors
+
+    uvs, uv_faces = _unpack(meta, "uvs", "<f8", 2), _unpack(meta, "uv_faces", "<i4", 3)
+    texture = encoded(session.get("texture")) if _has(session, "texture") and uvs is not None else None
+    colors = encoded(session.get("colors")) if _has(session, "colors") else None
+    return Mesh(session.get("vertices"), faces, uvs, uv_faces, colors, texture)
+
+
+def snapshot(session) -> np.ndarray | None:
+    """Every view as it is drawn now, (n, h, w, 4) straight RGBA, sRGB encoded; None where the bundle has no plan "render"."""
+    if _has(session, "render.color"):
+        return displayed(session, session.get("render.color"))
+    if _has(session, "render.silhouette"):
+        alpha = np.asarray(session.get("render.silhouette"))[..., None]
+        color = np.asarray(meta_of(session).get("albedo_color", [0.5] * 3), np.float64)
+        return np.concatenate([np.broadcast_to(color, (*alpha.shape[:3], 3)), alpha], axis=-1)
+    return None
+
+
+def displayed(session, images: np.ndarray) -> np.ndarray:
+    """RGBA of the session as one looks at it: in [0, 1], sRGB encoded."""
+    images = np.clip(np.asarray(images, np.float64), 0.0, 1.0)
+    if meta_of(session).get("linear_images"):
+        images = np.concatenate([linear_to_srgb(images[..., :3]), images[..., 3:]], axis=-1)
+    return images
+
+
+def targets(session) -> np.ndarray | None:
+    """The images to match, as `snapshot` gives the drawn ones."""
+    return displayed(session, session.get("targets")) if _has(session, "targets") else None
+
+
+def measure(drawn: np.ndarray, wanted: np.ndarray) -> dict:
+    """IoU of the silhouettes at half coverage, and PSNR of the colours (dB) where both are at least that: mean, lowest."""
+    iou, psnr = [], []
+    for a, b in zip(drawn, wanted):
+        inside, target = a[..., 3] >= 0.5, b[..., 3] >= 0.5
+        union, both = np.count_nonzero(inside | target), inside & target
+        iou.append(np.count_nonzero(both) / union if union else 1.0)
+        if both.any():
+            error = float(np.mean((a[both][:, :3] - b[both][:, :3]) ** 2))
+            psnr.append(min(99.0, -10.0 * math.log10(max(error, 1e-12))))
+    out = {"iou_mean": float(np.mean(iou)), "iou_min": float(np.min(iou))}
+    return out | ({"psnr_mean": float(np.mean(psnr)), "psnr_min": float(np.min(psnr))} if psnr else {})
+
+
+def check_output(session, out: str | Path) -> Path:
+    """The path, if a run of this session can write it; to be asked before the run. Raises InputError."""
+    out = Path(out)
+    if out.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(f"output {out}: extension {out.suffix or 'none'} is unknown; known are {' '.join(MESH_SUFFIXES)}")
+    if not out.parent.is_dir():
+        raise InputError(f"output {out}: directory {out.parent} does not exist; create it first")
+    mesh_of(session)
+    return out
+
+
+def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, float]]], before: np.ndarray | None,
+          metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = ()) -> dict:
+    """Writes OUT, and OUT's stem with _sheet.png, _loss.png and _metrics.json; gives the metrics, with what was measured.
+
+    curves: losses by phase, (iterations done, loss). before: `snapshot` of the start. extra_rows: more rows for the sheet.
+    """
+    out = Path(out)
+    files = {"mesh": out, "sheet": out.with_name(f"{out.stem}_sheet.png"), "loss": out.with_name(f"{out.stem}_loss.png"),
+             "metrics": out.with_name(f"{out.stem}_metrics.json")}
+    metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
+    save_mesh(files["mesh"], mesh_of(session))
+    after, wanted = snapshot(session), targets(session)
+    rows = [(label, images[:SHOWN]) for label, images in
+            (("before", before), ("after", after), ("target", wanted), *extra_rows) if images is not None]
+    if rows:
+        contact_sheet(rows, files["sheet"])
+    else:
+        del files["sheet"]
+    if after is not None and wanted is not None:
+        metrics["views"] = measure(after, wanted)
+        if not _has(session, "render.color"):
+            metrics["views"] = {k: x for k, x in metrics["views"].items() if k.startswith("iou")}
+    metrics |= _found(session)
+    if any(math.isfinite(y) and y > 0.0 for points in curves.values() for _, y in points):
+        loss_curve(curves, files["loss"])
+    else:
+        del files["loss"]
+    metrics["files"] = {kind: path.name for kind, path in files.items()}
+    metrics = _plain(metrics)
+    save_json(files["metrics"], metrics)
+    return metrics
+
+
+def _found(session) -> dict:
+    """Cameras and lights, where they were optimized."""
+    d = session.bundle.description
+    changed = {d["values"][k]["name"] for plan in d["plans"] for k in plan["updates"]}
+    out: dict = {}
+    lights = {name: np.asarray(session.get(name)).tolist() for name in sorted(changed)
+              if name.startswith("light") and name.count(".") == 1}
+    if lights:
+        out["lights"] = lights
+    if changed & {"rotation", "translation"}:
+        rotation, translation = (np.asarray(session.get(name), np.float64) for name in ("rotation", "translation"))
+        poses = []
+        for row, turn, shift in zip(meta_of(session)["cameras"], rotation, translation):
+            base, pose = np.array(row[:12], np.float64).reshape(3, 4), np.eye(4)
+            pose[:3] = rotation_matrix(turn) @ base
+            pose[:3, 3] += shift
+            poses.append(inverse_rigid(pose).tolist())
+        out["camera_to_world"] = dict(zip(meta_of(session)["images"], poses))
+    return out
+
+
+def _plain(value):
+    """The value in JSON's types; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(x) for k, x in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(x) for x in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,43 @@
+"""Arrows between the compiler's packages point down only, and a package's modules stay within a page or two."""
+import ast
+from pathlib import Path
+
+import pytest
+
+COMPILER = Path(__file__).resolve().parents[1] / "dressi_edge" / "compiler"
+ORDER = ("graph", "passes", "backend", "render", "io", "scene")  # each may import those before it, and the cache
+ALLOWED = {"graph": (), "passes": ("graph",), "backend": ("graph", "passes"), "render": ("graph", "io"), "io": (),
+           "scene": ("graph", "render", "io", "compiler")}
+TABLES = ("graph/ops/lookup.py", "graph/ops/texture_gradient.py")
+MODULES = sorted(COMPILER.rglob("*.py"))
+
+
+def imported(path: Path) -> set[str]:
+    """The packages of the compiler that a module imports; "compiler" for the compiler's own __init__."""
+    package = list(path.relative_to(COMPILER.parent).parts[:-1])
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            base = package[:len(package) - node.level + 1] if node.level else ["elsewhere"]
+            full = base + (node.module.split(".") if node.module else [])
+            if full[:1] == ["compiler"]:
+                found.add(full[1] if len(full) > 1 else "compiler")
+    return found
+
+
+def test_every_package_has_its_place():
+    assert {p.name for p in COMPILER.iterdir() if (p / "__init__.py").exists()} == set(ORDER) == set(ALLOWED)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(COMPILER)))
+def test_arrows_point_down(path):
+    own = path.relative_to(COMPILER).parts[0]
+    allowed = {own, *ALLOWED[own]} if own in ALLOWED else {*ORDER, "graph"}
+    assert imported(path) <= allowed
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(COMPILER)))
+def test_a_module_holds_one_thing(path):
+    """At most 400 lines, but for tables of ops."""
+    lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert lines <= 400 or str(path.relative_to(COMPILER)) in TABLES
