@@ -66,6 +66,9 @@ def parser() -> argparse.ArgumentParser:
                          "and features")
         sub.add_argument("--profile", metavar="NAME", help="take the bundle's variant for this profile, not the first that fits")
 
+    def pinned(sub):
+        sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
+
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
     sub.add_argument("job", help="the job, a TOML file")
     sub.add_argument("-p", "--profile", required=True, action="append",
@@ -85,12 +88,14 @@ def parser() -> argparse.ArgumentParser:
                      "OUT.npz: the states as arrays")
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     emulation(sub)
+    pinned(sub)
     sub.add_argument("--explain", action="store_true", help="print which variant was taken and why, what ran how often, and what "
                      "the session occupies")
     json_switch(sub)
 
     sub = command("inspect", "show what a bundle is made of", target="bundle:inspect")
     sub.add_argument("bundle")
+    pinned(sub)
     form = sub.add_mutually_exclusive_group()
     json_switch(form)
     form.add_argument("--dot", action="store_true", help="print the graph of stages for Graphviz")
@@ -98,7 +103,7 @@ def parser() -> argparse.ArgumentParser:
     sub = command("verify", "check a bundle without a device", target="bundle:verify")
     sub.add_argument("bundle")
     sub.add_argument("-p", "--profile", help="and that a variant keeps every limit of this profile")
-    sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
+    pinned(sub)
 
     sub = command("bench", "time a bundle: each stage of each plan by device timestamps, and whole steps", target="bench:bench")
     sub.add_argument("bundle")
@@ -106,6 +111,7 @@ def parser() -> argparse.ArgumentParser:
                      help="how often each plan runs; the median counts (default 9)")
     device(sub)
     emulation(sub)
+    pinned(sub)
     json_switch(sub)
 
     sub = command("profiles", "list, show, check, merge and capture device profiles")

@@ -101,6 +101,24 @@ def test_an_input_that_nobody_had_set_is_unset_again(gpu, tmp_path):
     gpu.silent()
 
 
+def test_what_was_made_of_an_input_that_is_unset_again_is_no_more(gpu, tmp_path):
+    p, unit = Program(), Layout("unit", "float")
+    x, y = p.input("x", unit), p.state("y", unit, 1.0)
+    p.plan("add", {"y": y + 1.0})
+    p.plan("show", {}, {"twice": (x * 2.0, unit)})
+    with gpu.open(p) as s:
+        s.checkpoint(tmp_path / "c")
+        s.set("x", 2.0)
+        assert s.get("twice") == 4
+        s.restore(tmp_path / "c")
+        for _ in range(2):
+            with pytest.raises(InputError, match="^show needs x; set it first$"):
+                s.get("twice")
+        s.set("x", 3.0)
+        assert s.get("twice") == 6
+    gpu.silent()
+
+
 # Files
 
 
@@ -150,6 +168,70 @@ def test_what_is_no_checkpoint_of_this_bundle_changes_nothing(session, whole, tm
     assert str(tmp_path / "bad") in str(error.value) and "\n" not in str(error.value)
     assert bits(session) == before
     session.restore(tmp_path / "c")
+
+
+@pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "/dev/tty", "link to a fifo", "\0"])
+def test_what_is_no_regular_file_is_refused_without_waiting(session, tmp_path, kind):
+    path = tmp_path / "c" if "fifo" in kind else kind
+    if "fifo" in kind:
+        os.mkfifo(tmp_path / "fifo")
+        os.symlink("fifo", path) if "link" in kind else os.rename(tmp_path / "fifo", path)
+    before, told = bits(session), []
+
+    def go():
+        with pytest.raises(InputError, match="the checkpoint cannot be read: ") as error:
+            session.restore(path)
+        told.append(str(error.value))
+
+    thread = threading.Thread(target=go, daemon=True)
+    thread.start()
+    thread.join(20)
+    assert told and bits(session) == before
+
+
+def numbers(data, name, change):
+    """The checkpoint with the bytes of a value changed."""
+    start = checkpoints.HEADER.size
+    _, _, size, digest, _ = checkpoints.HEADER.unpack_from(data)
+    at = start + size
+    for other, count in msgpack.unpackb(data[start:at])["values"]:
+        if other == name:
+            data = data[:at] + change(data[at:at + count]) + data[at + count:]
+        at += count
+    return checkpoints.HEADER.pack(checkpoints.MAGIC, 1, size, digest, hashlib.sha256(data[start:]).digest()) + data[start:]
+
+
+@pytest.mark.parametrize("name", ["a", "rate"])
+@pytest.mark.parametrize("number", [np.nan, -np.inf])
+def test_numbers_that_set_refuses_restore_refuses(session, whole, tmp_path, name, number):
+    before = bits(session)
+    (tmp_path / "bad").write_bytes(numbers(whole, name, lambda data: np.float32(number).tobytes() + data[4:]))
+    with pytest.raises(BundleError, match=f"bad: {name} has 1 values that are NaN or Inf; finite numbers are needed"):
+        session.restore(tmp_path / "bad")
+    assert bits(session) == before
+
+
+def test_what_nobody_sees_of_an_image_may_be_anything(session, whole, tmp_path):
+    """The fourth channel of three, texels after the last entry, integers of any bits."""
+    padded = numbers(whole, "a", lambda data: data[:12] + np.float32(np.nan).tobytes() + data[16:-4] + np.float32(np.inf).tobytes())
+    (tmp_path / "padded").write_bytes(numbers(padded, "t", lambda data: np.float32(np.nan).tobytes()))
+    before = session.get("a")
+    session.restore(tmp_path / "padded")
+    assert session.get("a").tobytes() == before.tobytes() and session.get("t") == np.float32(np.nan).view(np.int32)
+
+
+def test_a_run_that_diverged_leaves_the_last_checkpoint_that_is_of_use(gpu, tmp_path):
+    p = Program()
+    x = p.state("x", Layout("unit", "float"), 1e30)
+    p.plan("grow", {"x": x * 1e9})
+    with gpu.open(p) as s:
+        s.checkpoint(tmp_path / "c")
+        s.step(1)
+        with pytest.raises(InputError, match="c: the checkpoint is not written: x has 1 values that are NaN or Inf"):
+            s.checkpoint(tmp_path / "c")
+        s.restore(tmp_path / "c")
+        assert s.get("x") == np.float32(1e30)
+    gpu.silent()
 
 
 def test_no_byte_of_the_file_can_change_unseen(bundle, session, whole):

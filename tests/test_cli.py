@@ -1,6 +1,7 @@
 """The command line: each kind of failure has its exit code and one line; a job becomes a mesh; the device needs no compiler."""
 
 import hashlib
+import inspect
 import json
 import os
 import subprocess
@@ -11,9 +12,12 @@ import pytest
 from jobs import ROOT, TINY, command, write_job
 
 from dressi_edge import cli
+from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile, profile_names
 from dressi_edge.commands import run as run_module
+from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.io.meshes import load_mesh
+from dressi_edge.runtime.session import Session
 
 
 @pytest.fixture(autouse=True)
@@ -310,28 +314,101 @@ def test_a_defect_is_exit_code_1_with_a_traceback_only_on_demand(solved, capsys,
 
 
 class Interrupted:
-    """A session whose third submission is interrupted."""
+    """A session that is interrupted once: before, in or after its third submission, or while a loss is fetched. What was submitted
+    runs all the same."""
 
     values, plans = {"p.loss": {}}, {}
 
-    def __init__(self):
-        self.done = self.calls = 0
+    def __init__(self, when):
+        self.done, self.calls, self.when = 7, 0, when  # an earlier run of the phase
+
+    def interrupt(self, when):
+        if when == self.when and self.calls >= 3:
+            self.when = ""
+            raise KeyboardInterrupt
 
     def step(self, n, phase=None):
         self.calls += n > 0
-        if self.calls == 3:
-            raise KeyboardInterrupt
+        self.interrupt("before")
         self.done += n
+        self.interrupt("in")
 
     def loss(self):
+        self.interrupt("loss")
         return 1.0 / (1 + self.done)
 
+    def report(self):
+        return {"runs": {"p": self.done}}
 
-def test_an_interrupted_phase_keeps_what_there_is(capsys):
-    curve = []
-    out = run_module.solve(Interrupted(), "p", 100, curve)
-    assert out["interrupted"] and out["steps"] == 2 and curve[-1] == (2, 1 / 3)
-    assert "stopped p after 2 of 100 steps" in capsys.readouterr().err
+
+@pytest.mark.parametrize("when", ["before", "in", "loss"])
+def test_an_interrupted_phase_says_how_many_steps_ran_and_has_no_step_twice(capsys, when):
+    curve, session = [], Interrupted(when)
+    out = run_module.solve(session, "p", 100, curve)
+    ran = session.done - 7
+    assert out["interrupted"] and out["steps"] == ran and (ran == 2) == (when == "before")
+    assert curve[-1] == (ran, 1 / (8 + ran)) and len(dict(curve)) == len(curve)
+    assert out["loss_last"] == curve[-1][1] and f"stopped p after {ran} of 100 steps" in capsys.readouterr().err
+
+
+def test_an_interrupt_of_the_command_line_tells_what_ran(solved, capsys, monkeypatch):
+    """The report and the states agree: the step counter of the bundle is the count that is told."""
+    from dressi_edge.runtime import vk
+    real, calls = vk.QueueSubmit, []
+
+    def submit(*args):
+        real(*args)
+        calls.append(args)
+        if len(calls) == 14:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(vk, "QueueSubmit", submit)
+    path = solved[0] / "interrupted.npz"
+    code, out, err = here(capsys, "run", solved[0] / "x.dressi", "--steps", 40, "--phase", "shape", "-o", path, "--json")
+    steps = json.loads(out)["phases"]["shape"]["steps"]
+    assert code == 130 and 0 < steps < 40 and f"stopped shape after {steps} of 40 steps" in err
+    assert np.load(path)["shape.step"] == steps
+
+
+# ---- names and pins
+
+def program_of(name):
+    p = Program()
+    x = p.state(name, Layout("unit", "float"), 1.0)
+    p.plan("go", {name: x * 0.5}, steps=2)
+    return p
+
+
+@pytest.mark.parametrize("name", ["file", "allow_pickle", "../../x", "/x", "a/../x", "a//x", "..", "C:x", "a\\x", "x.npy", "X.NPY"])
+def test_states_that_no_npz_can_hold_are_refused_before_the_run(tmp_path, capsys, monkeypatch, name):
+    compile_program(program_of(name), "lavapipe", tmp_path / "x.dressi")
+    if name == "allow_pickle" and name not in inspect.signature(np.savez).parameters:
+        pytest.skip("this NumPy has no such argument")
+    monkeypatch.setattr(Session, "step", lambda *_: pytest.fail("it ran"))
+    code, _, err = here(capsys, "run", tmp_path / "x.dressi", "-o", tmp_path / "out.npz")
+    assert code == 3 and "cannot be an array of an .npz" in one_line(err) and os.listdir(tmp_path) == ["x.dressi"]
+
+
+@pytest.mark.parametrize("name", ["x", "a/b", "Äpfel", "arr_0", "files", "args", "a.b", "..x", "x" * 200])
+def test_every_other_state_is_in_the_npz_under_its_name(tmp_path, capsys, name):
+    compile_program(program_of(name), "lavapipe", tmp_path / "x.dressi")
+    code, _, err = here(capsys, "run", tmp_path / "x.dressi", "-o", tmp_path / "out.npz")
+    assert code == 0, err
+    with np.load(tmp_path / "out.npz") as found:
+        assert found.files == [name] and found[name] == 0.25
+
+
+@pytest.mark.parametrize("command", ["run", "bench", "inspect", "verify"])
+def test_a_pin_lets_one_file_through(solved, capsys, command):
+    path = solved[0] / "x.dressi"
+    more = {"run": ["--steps", "1"], "bench": ["--runs", "1"]}.get(command, [])
+    pin = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert here(capsys, command, path, "--pin", pin, *more)[0] == 0
+    for wrong, told in ((pin[::-1], f"the file's SHA-256 is {pin}; the pin is {pin[::-1]}"), ("abc", "is no SHA-256")):
+        code, _, err = here(capsys, command, path, "--pin", wrong, *more)
+        assert code == 3 and told in one_line(err)
+    code, _, err = here(capsys, "run", solved[0] / "job.toml", "--device", "reference", "--pin", pin)
+    assert code == 3 and "a job has no digest" in one_line(err)
 
 
 def test_output_into_a_closed_pipe_is_no_error(solved):

@@ -13,7 +13,7 @@ import pytest
 
 from dressi_edge.cache import bundle
 from dressi_edge.cache.errors import BundleError
-from dressi_edge.runtime import vk
+from dressi_edge.runtime import load, vk
 
 ROWS, FILES = {row[0]: row[1:] for row in hostile_bundles.ROWS}, hostile_bundles.files()
 
@@ -141,7 +141,41 @@ def test_a_pin_is_the_digest_of_the_file(tmp_path):
         bundle.read(tmp_path / "junk", pin)
 
 
-@pytest.mark.parametrize("path", ["/dev/zero", "/", "fifo", "\0", "missing"])
+def test_the_bytes_that_are_checked_are_those_that_are_loaded(tmp_path, monkeypatch):
+    """One opening of the file, of which everything is asked: who exchanges it in between changes nothing."""
+    path, other = tmp_path / "x", tmp_path / "y"
+    path.write_bytes((hostile_bundles.FOLDER / "ops.dressi").read_bytes())
+    pin, real, opened = hashlib.sha256(path.read_bytes()).hexdigest(), os.open, []
+
+    def exchange(name, *args, **options):
+        handle = real(name, *args, **options)
+        opened.append(name)
+        other.write_bytes((hostile_bundles.FOLDER / "states.dressi").read_bytes())
+        os.replace(other, path)
+        return handle
+
+    monkeypatch.setattr(os, "open", exchange)
+    monkeypatch.setattr(os, "stat", lambda *_: pytest.fail("asked of the name"))
+    found = bundle.read(path, pin)
+    monkeypatch.undo()
+    assert opened == [path] and found.digest == pin and found.description["plans"][0]["name"] == "map"
+    with pytest.raises(BundleError, match="the pin is"):
+        bundle.read(path, pin)
+    with pytest.raises(BundleError, match="the pin is"):  # before any device is looked for
+        load(path, "no such device", pin=pin)
+
+
+def test_a_file_that_grows_while_it_is_read_is_not_read_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(bundle, "MAX_FILE_BYTES", 5)
+    (tmp_path / "x").write_bytes(b"DRESSI")
+    with pytest.raises(BundleError, match="it has 6 bytes; at most 5 are allowed"):
+        bundle.read(tmp_path / "x")
+    monkeypatch.setattr(os, "fstat", lambda handle, real=os.fstat: os.stat_result([*real(handle)[:6], 0, *real(handle)[7:10]]))
+    with pytest.raises(BundleError, match="it has more than 5 bytes; at most so many are allowed"):
+        bundle.read(tmp_path / "x")
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/tty", "/", "fifo", "\0", "missing", "x\ny"])
 def test_what_is_no_regular_file_is_not_read(tmp_path, path):
     if path == "fifo":
         os.mkfifo(tmp_path / path)

@@ -12,6 +12,7 @@ from graphs import Graph
 from dressi_edge.cache.errors import GraphError, InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
+from dressi_edge.compiler.graph import reference_session
 from dressi_edge.compiler.graph.functions import constant, mean, total
 from dressi_edge.compiler.graph.ir import table, topological
 from dressi_edge.compiler.graph.ops.lookup import to_table
@@ -22,6 +23,8 @@ from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.raster import Softness, rasterized
 from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.runtime.session import Session
+
+pytest_plugins = ["gpu"]
 
 RADIUS = 3.0
 
@@ -141,6 +144,75 @@ def test_it_has_the_face_of_a_session_on_a_device():
         assert [(q.name, q.kind, q.default) for q in signature.parameters.values()] == \
             [(q.name, q.kind, q.default) for q in there[name].parameters.values()], name
         assert signature.return_annotation == there[name].return_annotation, name
+
+
+def spiral():
+    """Two phases that give out what depends on the state that they update, one of them the same output as the other; a plan that only
+    shows; an input that nobody has set."""
+    p, unit = Program(), Layout("unit", "float")
+    x, y = p.state("x", unit, 8.0), p.state("y", Layout("image", "vec2", 3, 2), 0.5)
+    rate, late = p.input("rate", unit, 0.25), p.input("late", unit)
+    bent = y * 0.75 + x * rate
+    p.plan("turn", {"x": x * 0.5 + rate, "y": bent}, {"turn.loss": (x * x, unit), "seen": (y, Layout("image", "vec2", 3, 2)),
+                                                      "both": (x + 1.0, unit)})
+    p.plan("lift", {"x": x + late}, {"both": (x * 3.0, unit), "lift.loss": (x - late, unit)})
+    p.plan("show", {}, {"shown": (bent, Layout("image", "vec2", 3, 2)), "late.too": (late * 2.0, unit)})
+    return p
+
+
+NAMES = ("x", "y", "turn.loss", "seen", "both", "lift.loss", "shown", "late.too")
+
+
+def found(session, name):
+    """The value, or the words of the error."""
+    try:
+        return session.get(name)
+    except InputError as error:
+        return str(error)
+
+
+def test_what_phases_give_out_is_what_a_device_gives_out(gpu):
+    """Values and refusals, after everything that may happen between two steps."""
+    doings = [lambda s: None, lambda s: s.step(0, "turn"), lambda s: s.step(1, "turn"), lambda s: s.step(2), lambda s: s.set("x", 3.0),
+              lambda s: s.set("late", -1.5), lambda s: s.step(1, "lift"), lambda s: s.set("rate", 0.5), lambda s: s.step(3, "turn"),
+              lambda s: s.set("y", np.full((2, 3, 2), 0.125))]
+    with gpu.open(spiral()) as device, ReferenceSession(spiral()) as reference:
+        for number, do in enumerate(doings):
+            do(device)
+            do(reference)
+            for name in NAMES:
+                here, there = found(reference, name), found(device, name)
+                if isinstance(there, str):
+                    assert here == there, (number, name)
+                else:
+                    np.testing.assert_allclose(here, there, rtol=1e-6, err_msg=f"{number} {name}")
+        assert reference.report()["runs"]["turn"] == device.report()["runs"]["turn"] == 6
+        assert reference.get("turn.loss") != reference.get("x") ** 2  # of the state before the update
+    gpu.silent()
+
+
+def test_a_phase_without_its_input_says_so_as_on_a_device(gpu):
+    with gpu.open(spiral()) as device, ReferenceSession(spiral()) as reference:
+        for session in (device, reference):
+            with pytest.raises(InputError, match="^lift needs late; set it first$"):
+                session.step(1, "lift")
+            assert session.get("x") == 8.0 and session.report()["runs"]["lift"] == 0
+    gpu.silent()
+
+
+def test_an_interrupt_leaves_whole_iterations(session, monkeypatch):
+    """Whatever line it comes at: the state is that of the count."""
+    real, calls = reference_session.evaluate, iter(range(100))
+
+    def evaluate(*args):
+        if next(calls) == 3:
+            raise KeyboardInterrupt
+        return real(*args)
+
+    monkeypatch.setattr(reference_session, "evaluate", evaluate)
+    with pytest.raises(KeyboardInterrupt):
+        session.step(10, "halve")
+    assert session.report()["runs"]["halve"] == 3 and session.get("x") == 1.0 and session.get("halve.loss") == 4.0
 
 
 def test_steps_are_counted_bounded_and_cancelled(session):

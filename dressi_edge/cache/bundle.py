@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import stat
 import struct
 from collections.abc import Sequence
 
@@ -17,7 +16,7 @@ import msgpack
 from . import vulkan as v
 from .bundle_check import check_description, check_variants
 from .errors import BundleError
-from .files import replace_file
+from .files import read_regular, replace_file
 from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
@@ -121,31 +120,22 @@ def write(path: str | os.PathLike, description: dict, blobs: list[bytes]) -> str
 
 def read(path: str | os.PathLike, pin: str | None = None) -> Bundle:
     """The checked bundle in a file, the first of its `variants`. `pin`: the SHA-256 (64 hexadecimal digits) that the file must
-    have. Raises BundleError, with the path in the file of the first thing wrong."""
+    have, checked on the very bytes that are used. Raises BundleError, with the path in the file of the first thing wrong."""
+    shown = text if (text := str(path)).isprintable() and len(text) < 1000 else f"{text!r:.200}"
     try:
-        found = os.stat(path)
-        if not stat.S_ISREG(found.st_mode):
-            raise BundleError(f"{path}: is no regular file")
-        if found.st_size > MAX_FILE_BYTES:
-            raise BundleError(f"{path}: {found.st_size} bytes; at most {MAX_FILE_BYTES} are allowed")
-        with open(path, "rb") as f:
-            data = f.read(found.st_size + 1)
+        data = read_regular(path, MAX_FILE_BYTES)
     except OSError as e:
-        raise BundleError(f"{path}: cannot be read: {e.strerror}") from None
-    except BundleError:
-        raise
-    except ValueError:
-        raise BundleError(f"{str(path)!r:.200}: is no path") from None
+        raise BundleError(f"{shown}: cannot be read: {e.strerror}") from None
     try:
         return loads(data, pin)
     except BundleError as e:
-        raise BundleError(f"{path}: {e}") from None
+        raise BundleError(f"{shown}: {e}") from None
 
 
 def loads(data: bytes, pin: str | None = None) -> Bundle:
     """The checked bundle in these bytes. Raises BundleError."""
     if pin is not None:
-        if not re.fullmatch("[0-9a-fA-F]{64}", pin):
+        if type(pin) is not str or not re.fullmatch("[0-9a-fA-F]{64}", pin):
             raise BundleError(f"pin {pin!r:.80} is no SHA-256; 64 hexadecimal digits are needed")
         if (digest := hashlib.sha256(data).hexdigest()) != pin.lower():
             raise BundleError(f"the file's SHA-256 is {digest}; the pin is {pin.lower()}")

@@ -1,9 +1,40 @@
-"""Files replaced whole or not at all."""
+"""Files read as one piece, and files replaced whole or not at all."""
 from __future__ import annotations
 
+import errno
 import os
+import stat
 
+# A pipe or a device would block when it is opened; what the name stands for is asked of the opened file, not before.
+READ_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0) \
+    | getattr(os, "O_CLOEXEC", 0)
 FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+
+
+def read_regular(path: str | os.PathLike, limit: int, flags: int = 0, allowed=None) -> bytes:
+    """The bytes of a regular file of at most `limit`, opened once and never waited for. `flags`: more of `os.open`. `allowed(status)`:
+    why a file with this `os.fstat` is not to be read, or "". Raises OSError, with errno EFBIG where the file is larger."""
+    try:
+        handle = os.open(path, READ_FLAGS | flags)
+    except ValueError:  # a NUL, or what no file system can name
+        raise OSError(errno.EINVAL, "it is no path") from None
+    try:
+        found = os.fstat(handle)
+        if stat.S_ISDIR(found.st_mode):
+            raise OSError(errno.EISDIR, f"{os.strerror(errno.EISDIR)}; it is no regular file")
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file")
+        if allowed is not None and (why := allowed(found)):
+            raise OSError(errno.EPERM, why)
+        if found.st_size > limit:
+            raise OSError(errno.EFBIG, f"it has {found.st_size} bytes; at most {limit} are allowed")
+        with open(handle, "rb", closefd=False) as f:
+            data = f.read(limit + 1)  # it may grow meanwhile
+    finally:
+        os.close(handle)
+    if len(data) > limit:
+        raise OSError(errno.EFBIG, f"it has more than {limit} bytes; at most so many are allowed")
+    return data
 
 
 def replace_file(path: str | os.PathLike, *parts: bytes) -> None:

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 
 from .errors import ProfileError
+from .files import read_regular
 from .limits import FEATURES, FORMAT_FEATURES, FORMATS, FROM_VK, LIMITS, an_object, limit_value, nearest, number, show, typed
 from .profile import BLOCK, OUTSIDE_READ, STATUS, Profile, from_device
 
@@ -14,14 +17,15 @@ MAX_FILE_BYTES = 1 << 20
 
 
 def read(path, where: str) -> bytes:
+    """The bytes of a file, or of a resource of the package, of at most `MAX_FILE_BYTES`. Raises ProfileError."""
     try:
-        with path.open("rb") as f:
-            data = f.read(MAX_FILE_BYTES + 1)
+        if isinstance(path, os.PathLike):
+            return read_regular(path, MAX_FILE_BYTES)
+        return path.read_bytes()  # of a package in an archive
     except OSError as e:
+        if e.errno == errno.EFBIG:
+            raise ProfileError(f"{where}: larger than {MAX_FILE_BYTES} bytes, the most a profile may have") from None
         raise ProfileError(f"{where}: cannot be read: {e.strerror}") from None
-    if len(data) > MAX_FILE_BYTES:
-        raise ProfileError(f"{where}: larger than {MAX_FILE_BYTES} bytes, the most a profile may have")
-    return data
 
 
 def decode(data: bytes, where: str) -> dict:

@@ -9,7 +9,7 @@ from .files import print_json
 
 def bench(args) -> None:
     from .. import runtime
-    with runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile) as session:
+    with runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile, pin=args.pin) as session:
         d = session.bundle.description
         counts, results = summary(d), {}
         for plan in d["plans"]:

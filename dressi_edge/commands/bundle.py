@@ -9,7 +9,7 @@ from .files import print_json
 def inspect(args) -> None:
     from ..cache import bundle
     from ..cache.summary import dot, summary, text
-    variants = bundle.read(args.bundle).variants
+    variants = bundle.read(args.bundle, args.pin).variants
     if args.json:
         print_json({b.profile: summary(b.description) for b in variants})
     else:
@@ -19,7 +19,7 @@ def inspect(args) -> None:
 
 def verify(args) -> None:
     from ..cache import bundle
-    found = bundle.read(args.bundle, pin=args.pin)
+    found = bundle.read(args.bundle, args.pin)
     d, fits = found.description, ""
     if args.profile is not None:
         from ..cache.errors import BundleError

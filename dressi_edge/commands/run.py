@@ -34,17 +34,20 @@ class Progress:
 
 
 def solve(session, phase: str, steps: int, curve: list) -> dict:
-    """Step a phase, appending (iterations done, loss) to `curve`; what is known of it then. KeyboardInterrupt ends it early."""
+    """Step a phase, appending (iterations done, loss) to `curve`, each count once; what is known of it then. KeyboardInterrupt ends it
+    early; the iterations that were on their way then have run, and count."""
     has_loss = f"{phase}.loss" in session.values
     progress, every = Progress(phase, steps), max(1, steps // POINTS)
     session.step(0, phase)
+    before = _runs(session, phase)
 
     def measure(done: int) -> float | None:
-        if has_loss:
+        if has_loss and (not curve or curve[-1][0] != done):
             curve.append((done, session.loss()))
         return curve[-1][1] if curve else None
 
     loss, done, spent, chunk, timed, stopped = measure(0), 0, 0.0, 1, [], False
+    start = time.perf_counter()
     try:
         while done < steps:
             n = min(chunk, every - done % every, steps - done)
@@ -60,7 +63,9 @@ def solve(session, phase: str, steps: int, curve: list) -> dict:
             chunk = max(1, min(every, int(0.5 / max(each, 1e-6))))
             progress.show(done, loss, each * 1e3)
     except KeyboardInterrupt:
-        stopped = True
+        stopped, known = True, done
+        done = _runs(session, phase) - before  # waits for what was submitted
+        spent += (time.perf_counter() - start) * (done > known)
         sys.stderr.write(f"\nstopped {phase} after {done} of {steps} steps\n")
         measure(done)
     count = sum(n for _, n in timed)
@@ -71,10 +76,17 @@ def solve(session, phase: str, steps: int, curve: list) -> dict:
     return out | ({"interrupted": True} if stopped else {})
 
 
+def _runs(session, phase: str) -> int:
+    """Iterations of the phase that have run, an interrupted step's included."""
+    return session.report()["runs"][phase]
+
+
 def _open(args):
     if args.device == "reference":
         if not args.bundle.endswith(".toml"):
             raise InputError(f"{args.bundle}: --device reference runs a job (.toml), for a bundle holds no graph; give the job")
+        if args.pin is not None:
+            raise InputError("--pin: a job has no digest; give a bundle, or leave --pin away")
         from ..compiler.graph.reference_session import ReferenceSession
         from ..compiler.scene.job import load_job
         from ..compiler.scene.results import record
@@ -85,7 +97,7 @@ def _open(args):
         raise InputError(f"{args.bundle} is a job; make a bundle of it first: "
                          f"dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
     from .. import runtime
-    return runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile)
+    return runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile, pin=args.pin)
 
 
 def _todo(session, args) -> list[tuple[str, int]]:
@@ -116,6 +128,8 @@ def run(args) -> int:
         from ..compiler.scene import results
     with _open(args) as session:
         todo = _todo(session, args)
+        if kind == "arrays":
+            _check_names(_states(session))
         before = None
         if results:
             results.mesh_of(session)  # fails now rather than after the work
@@ -137,11 +151,32 @@ def run(args) -> int:
     return 130 if any(p.get("interrupted") for p in phases.values()) else 0
 
 
+def _states(session) -> list[str]:
+    """The names of the states of a session."""
+    return [name for name, value in session.values.items() if value["role"] == "state"]
+
+
+def _check_names(names: list[str]) -> None:
+    """Raises InputError unless an .npz can have an array of each name: NumPy gives it back under that name, and unpacked it lies in
+    the folder."""
+    import inspect
+
+    import numpy as np
+    taken = {p.name for p in inspect.signature(np.savez).parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
+    for name in names:
+        if name in taken or name.lower().endswith(".npy"):
+            raise InputError(f"state {name!r:.60} cannot be an array of an .npz: NumPy uses the name otherwise; write a mesh, or get it "
+                             "with Session.get")
+        if any(part in ("", ".", "..") for part in name.split("/")) or set(name) & {"\\", ":"}:
+            raise InputError(f"state {name!r:.60} cannot be an array of an .npz: unpacked, its file would lie outside the folder; write a "
+                             "mesh, or get it with Session.get")
+
+
 def _save_states(session, path: str) -> None:
     """Every state of the bundle as an array of its user's shape."""
     import numpy as np
     data = io.BytesIO()
-    np.savez(data, **{name: session.get(name) for name, value in session.values.items() if value["role"] == "state"})
+    np.savez(data, **{name: session.get(name) for name in _states(session)})
     write_file(path, data.getvalue())
 
 

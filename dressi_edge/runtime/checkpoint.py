@@ -9,6 +9,7 @@ bytes of each value's image as the device holds them, rows from the top, in that
 """
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import struct
@@ -17,7 +18,7 @@ from typing import NamedTuple
 import msgpack
 
 from ..cache.errors import BundleError, InputError
-from ..cache.files import replace_file
+from ..cache.files import read_regular, replace_file
 
 MAGIC = b"DRESSICP"
 VERSION = 1
@@ -53,17 +54,16 @@ def write(path: str | os.PathLike, parts: list[bytes]) -> None:
 
 
 def read(path: str | os.PathLike, bundle_digest: str, limit: int) -> Checkpoint:
-    """The checkpoint in a file of at most `limit` bytes of images. Raises InputError if there is no such file, BundleError if
-    it is damaged or of another bundle."""
+    """The checkpoint in a regular file of at most `limit` bytes of images. Raises InputError if there is no such file, BundleError
+    if it is damaged or of another bundle."""
     where, limit = os.fspath(path), HEADER.size + MAX_DESCRIPTION + limit
     try:
-        with open(path, "rb") as f:
-            data = f.read(limit + 1)
+        data = read_regular(path, limit)
     except OSError as e:
+        if e.errno == errno.EFBIG:
+            raise BundleError(f"{where}: more than the {limit} bytes that a checkpoint of this bundle can have") from None
         raise InputError(f"{where}: the checkpoint cannot be read: {e.strerror or e}") from None
     try:
-        if len(data) > limit:
-            raise BundleError(f"more than the {limit} bytes that a checkpoint of this bundle can have")
         return loads(data, bundle_digest)
     except BundleError as e:
         raise BundleError(f"{where}: {e}") from None

@@ -34,13 +34,13 @@ MAX_SUBMIT = 1 << 16  # iterations in one submission
 
 
 def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None = None, *, validation: bool = False,
-         emulate: Profile | str | os.PathLike | None = None, profile: str | None = None) -> Session:
+         emulate: Profile | str | os.PathLike | None = None, profile: str | None = None, pin: str | None = None) -> Session:
     """Open a bundle on a device (an open one, or a part of its name; default $DRESSI_DEVICE or the best). `emulate`: a profile
     (or its name) whose limits, features and formats the device reports and enforces as if they were its own. Of several
-    variants the first that fits is taken, or the one made for `profile`. BundleError if the file is wrong, DeviceError if there
-    is no device or the bundle does not fit it, ProfileError if there is no such profile, InputError if no variant is made for
-    it."""
-    bundle = bundles.read(path)
+    variants the first that fits is taken, or the one made for `profile`. `pin`: the SHA-256 (64 hexadecimal digits) that the file
+    must have; the bytes that have it are those that are loaded. BundleError if the file is wrong, DeviceError if there is no device
+    or the bundle does not fit it, ProfileError if there is no such profile, InputError if no variant is made for it."""
+    bundle = bundles.read(path, pin)
     if emulate is not None and not isinstance(emulate, Profile):
         emulate = Profile.load(emulate)
     opened = device if isinstance(device, Device | EmulatedDevice) else Device.open(device, validation=validation)
@@ -228,9 +228,13 @@ class Session:
     def get(self, name: str) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
         value = self._value(name, ("input", "state", "output"))
+        return self._array(value, self._get(value)).astype(KIND[is_int(value["type"])])
+
+    def _array(self, value: dict, data: bytes) -> np.ndarray:
+        """The user's array of the bytes of its image."""
         image = self._d["images"][value["image"]]
-        pixels = np.frombuffer(self._get(value), self._stored(value)).reshape(image["height"], image["width"], -1)
-        return self._layouts[name].from_image(pixels[..., :CHANNELS[value["type"]]]).astype(KIND[is_int(value["type"])])
+        pixels = np.frombuffer(data, self._stored(value)).reshape(image["height"], image["width"], -1)
+        return self._layouts[value["name"]].from_image(pixels[..., :CHANNELS[value["type"]]])
 
     def _stored(self, value: dict) -> type:
         """The numbers in its image."""
@@ -407,15 +411,28 @@ class Session:
         given = {name for phase in self.phases if runs[phase] for name in self._plans[phase].given}
         return [name for name, value in self.values.items() if value["role"] == "state" or name in given or name in inputs]
 
+    def _not_finite(self, kept: checkpoints.Checkpoint) -> str:
+        """Which input or state of it has numbers that `set` would refuse, in words; else nothing."""
+        for name, data in kept.values.items():
+            value = self.values[name]
+            if value["role"] != "output" and not is_int(value["type"]):
+                if bad := np.count_nonzero(~np.isfinite(self._array(value, data))):
+                    return f"{name} has {bad} values that are NaN or Inf"
+        return ""
+
     def checkpoint(self, path: str | os.PathLike) -> None:
-        """Write all states, inputs and counters to a file, atomically. Raises InputError if it cannot be written; the file that
-        was there before is then untouched."""
-        checkpoints.write(path, checkpoints.dumps(self._snapshot(), self.bundle.digest))
+        """Write all states, inputs and counters to a file, atomically. Raises InputError if it cannot be written, or if a state is no
+        longer finite, which no `restore` would take; the file that was there before is then untouched."""
+        kept = self._snapshot()
+        if bad := self._not_finite(kept):
+            raise InputError(f"{os.fspath(path)}: the checkpoint is not written: {bad}, and what goes on from there is of no use; "
+                             "restore an earlier one, and lower the rates")
+        checkpoints.write(path, checkpoints.dumps(kept, self.bundle.digest))
 
     def restore(self, path: str | os.PathLike) -> None:
         """Take the values and counters of a checkpoint of the same bundle, of whichever variant; what follows is bit-identical
         to what followed there on the same device and variant. Raises InputError if there is no such file, BundleError if it is
-        damaged or of another bundle; nothing has changed then."""
+        damaged, of another bundle, or holds numbers that `set` would refuse; nothing has changed then."""
         self._usable()
         sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
         found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
@@ -424,9 +441,13 @@ class Session:
                 or list(found.values) != self._kept(found.runs, inputs)
                 or any(len(data) != sizes[name] for name, data in found.values.items())):
             raise BundleError(f"{os.fspath(path)}: the checkpoint's values are not those of this bundle")
+        if bad := self._not_finite(found):
+            raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
+        unset = [name for name in self._given if name not in inputs]
         self._put({name: np.frombuffer(data, np.uint8) for name, data in found.values.items()},
                   (*((self._runs, name, n) for name, n in found.runs.items()),
-                   *((self._given, name, False) for name in self._given if name not in inputs),
+                   *((self._given, name, False) for name in unset),
+                   *((self._version, name, self._version[name] + 1) for name in unset),  # what was made from them is no more
                    (self.__dict__, "phase", found.phase)))
 
     @_serial

@@ -7,13 +7,24 @@ from __future__ import annotations
 
 import time
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 
 from ...cache.errors import InputError
 from ...cache.steps import bounded, check_step
+from .ir import Node, topological
 from .program import PlanSpec, Program
 from .reference import evaluate
+
+
+class _Now(NamedTuple):
+    """feed: inputs and states as images. given: what phases gave out when they last ran. runs: iterations of each plan. One object, so
+    that an interrupt finds all of an iteration or nothing of it."""
+
+    feed: dict[str, np.ndarray]
+    given: dict[str, np.ndarray]
+    runs: dict[str, int]
 
 
 class ReferenceSession:
@@ -32,9 +43,8 @@ class ReferenceSession:
         self.device = SimpleNamespace(name="NumPy float64", driver="reference")
         self.phases = [spec.name for spec in program.plans if spec.updates]
         self.phase = self.phases[0] if self.phases else None
-        self._runs = dict.fromkeys(self.specs, 0)
-        self._feed = {name: value.layout.to_image(value.initial, name, value.node.half is not None)
-                      for name, value in program.values.items() if value.initial is not None}
+        self._now = _Now({name: value.layout.to_image(value.initial, name, value.node.half is not None)
+                          for name, value in program.values.items() if value.initial is not None}, {}, dict.fromkeys(self.specs, 0))
 
     def __enter__(self) -> ReferenceSession:
         return self
@@ -57,19 +67,32 @@ class ReferenceSession:
     def set(self, name: str, array) -> None:
         self._known(name, ("input", "state"))
         value = self.program.values[name]
-        self._feed[name] = value.layout.to_image(array, name, value.node.half is not None)
+        self._now.feed[name] = value.layout.to_image(array, name, value.node.half is not None)
 
     def get(self, name: str) -> np.ndarray:
+        """The value of an input, state or output now; what a phase gives out is that of its last iteration, of the states before it."""
         self._known(name, ("input", "state", "output"))
-        value = self.program.values[name]
+        value, now = self.program.values[name], self._now
         if self.program.roles[name] == "output":
             spec = next(spec for spec in self.program.plans if name in spec.outputs)
-            image = evaluate([spec.outputs[name]], self._feed)[0]
-        elif name in self._feed:
-            image = self._feed[name]
+            if not spec.updates:
+                image = self._evaluated(spec, [spec.outputs[name]])[0]
+            elif now.runs[spec.name]:
+                image = now.given[name]
+            else:
+                raise InputError(f"{name} is given out by {spec.name}, which has not run yet")
+        elif name in now.feed:
+            image = now.feed[name]
         else:
             raise InputError(f"{name} has no value yet; set it first")
         return value.layout.from_image(np.asarray(image)).copy()
+
+    def _evaluated(self, spec: PlanSpec, roots: list[Node]) -> list[np.ndarray]:
+        """These nodes of a plan, now. Raises InputError where an input that any of the plan's depends on is not set."""
+        whole = topological([*spec.updates.values(), *spec.outputs.values()])
+        if missing := sorted({n.attrs["name"] for n in whole if n.op.name == "input"}.difference(self._now.feed)):
+            raise InputError(f"{spec.name} needs {' '.join(missing)}; set it first")
+        return evaluate(roots, self._now.feed)
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         stop = check_step(n, seconds, cancel)
@@ -79,12 +102,14 @@ class ReferenceSession:
         if self.phase is None:
             raise InputError("this problem updates nothing: there is no phase to step")
         spec: PlanSpec = self.specs[self.phase]
+        roots = [*spec.updates.values(), *spec.outputs.values()]
 
         def run(count: int) -> float:
             start = time.perf_counter()
             for _ in range(count):
-                self._feed |= dict(zip(spec.updates, evaluate(spec.updates.values(), self._feed)))
-                self._runs[spec.name] += 1
+                images, now = iter(self._evaluated(spec, roots)), self._now
+                self._now = _Now(now.feed | dict(zip(spec.updates, images)), now.given | dict(zip(spec.outputs, images)),
+                                 now.runs | {spec.name: now.runs[spec.name] + 1})
             return (time.perf_counter() - start) / max(count, 1)
 
         return bounded(n, run, seconds, stop)
@@ -93,4 +118,4 @@ class ReferenceSession:
         return float(self.get(f"{self.phase}.loss"))
 
     def report(self) -> dict:
-        return {"device": self.device.name, "driver": self.device.driver, "profile": "reference", "runs": dict(self._runs)}
+        return {"device": self.device.name, "driver": self.device.driver, "profile": "reference", "runs": dict(self._now.runs)}
