@@ -173,7 +173,11 @@ def test_a_folder_that_refuses_writing_still_gives_out(tmp_path, monkeypatch, er
     def refuse(*args, **kwargs):
         raise error
 
-    for name in ("utime", "replace", "unlink", "makedirs", "open"):
+    def read_only(name, flags, *args, real=os.open):
+        return refuse() if flags & os.O_WRONLY else real(name, flags, *args)
+
+    monkeypatch.setattr(os, "open", read_only)
+    for name in ("utime", "replace", "unlink", "makedirs"):
         monkeypatch.setattr(os, name, refuse)
     assert cache.load(tmp_path, a_key()) == a_blob()
     assert error.strerror in cache.store(tmp_path, a_key(), a_blob(b"new")) and cache.load(tmp_path, a_key()) == a_blob()
@@ -208,6 +212,109 @@ def test_nobody_else_may_read_or_replace_the_files(tmp_path):
     cache.store(tmp_path / "folder", a_key(), a_blob())
     assert stat.S_IMODE((tmp_path / "folder").stat().st_mode) & 0o077 == 0
     assert stat.S_IMODE(the_file(tmp_path / "folder").stat().st_mode) & 0o077 == 0
+
+
+# ---- who else could have written it
+
+rights = pytest.mark.skipif(os.name == "nt", reason="Windows keeps rights elsewhere")
+other = pytest.mark.skipif(os.name == "nt" or os.geteuid() != 0, reason="only root may give files away")
+OTHER = 54321
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder of ours with a file in it, in one that is ours."""
+    path = tmp_path / "outer" / "folder"
+    assert cache.store(path, a_key(), a_blob()) == "" and cache.load(path, a_key()) == a_blob()
+    return path
+
+
+def foreign(folder, told):
+    """Nothing of this folder reaches a driver, nothing is put into it, and it is said why."""
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert told in cache.distrusted(folder) and "DRESSI_CACHE" in cache.distrusted(folder)
+    assert cache.load(folder, a_key()) is None
+    assert cache.store(folder, a_key(), a_blob(b"new")) == cache.distrusted(folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@rights
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o770, 0o722, 0o702])
+def test_a_folder_that_others_may_write_to_is_not_trusted(folder, mode):
+    folder.chmod(mode)
+    foreign(folder, f"{folder} can be written to by others")
+    folder.chmod(0o755)  # to be read by others is fine
+    assert cache.load(folder, a_key()) == a_blob()
+
+
+@rights
+@pytest.mark.parametrize("mode", [0o777, 0o707])
+def test_a_folder_that_others_could_exchange_is_not_trusted(folder, mode):
+    folder.parent.chmod(mode)
+    foreign(folder, f"{folder.parent} can be written to by others")
+    folder.parent.chmod(0o1777)  # as /tmp: only the owner may move what is his
+    assert cache.distrusted(folder) == "" and cache.load(folder, a_key()) == a_blob()
+
+
+@rights
+def test_a_link_that_others_could_turn_is_not_trusted(folder, tmp_path):
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open" / "link").symlink_to(folder)
+    assert cache.load(tmp_path / "open" / "link", a_key()) == a_blob()
+    (tmp_path / "open").chmod(0o777)
+    assert cache.load(folder, a_key()) == a_blob()
+    assert f"{tmp_path / 'open'} can be written to by others" in cache.distrusted(tmp_path / "open" / "link")
+    assert cache.load(tmp_path / "open" / "link", a_key()) is None
+    folder.chmod(0o777)
+    (tmp_path / "open").chmod(0o755)
+    foreign(tmp_path / "open" / "link", f"{folder} can be written to by others")
+
+
+@rights
+@pytest.mark.parametrize("mode", [0o666, 0o660, 0o606, 0o622])
+def test_a_file_that_others_may_write_to_is_ignored_and_replaced(folder, mode):
+    the_file(folder).chmod(mode)
+    assert cache.load(folder, a_key()) is None
+    assert cache.store(folder, a_key(), a_blob(b"new")) == "" and cache.load(folder, a_key()) == a_blob(b"new")
+
+
+@rights
+def test_a_link_in_place_of_the_file_is_ignored_and_replaced(folder, tmp_path):
+    path = the_file(folder)
+    path.rename(tmp_path / "elsewhere")
+    path.symlink_to(tmp_path / "elsewhere")
+    assert cache.load(folder, a_key()) is None
+    assert cache.store(folder, a_key(), a_blob(b"new")) == "" and cache.load(folder, a_key()) == a_blob(b"new")
+    assert (tmp_path / "elsewhere").read_bytes().endswith(a_blob())
+
+
+@other
+def test_what_belongs_to_another_is_not_trusted(folder):
+    path = the_file(folder)
+    os.chown(path, OTHER, OTHER)
+    assert cache.load(folder, a_key()) is None
+    assert cache.store(folder, a_key(), a_blob()) == "" and cache.load(folder, a_key()) == a_blob()
+    for place in (folder, folder.parent):
+        os.chown(place, OTHER, OTHER)
+        foreign(folder, f"{place} belongs to another user ({OTHER})")
+        os.chown(place, 0, 0)
+
+
+@other
+def test_the_private_group_of_the_user_is_the_user(folder):
+    os.chown(folder.parent, 0, OTHER)
+    folder.parent.chmod(0o775)
+    foreign(folder, f"{folder.parent} can be written to by others")
+    os.chown(folder.parent, 0, 0)
+    assert cache.load(folder, a_key()) == a_blob()
+
+
+@rights
+def test_a_session_says_why_it_keeps_nothing(bundle, tmp_path, monkeypatch):
+    tmp_path.chmod(0o777)
+    monkeypatch.setenv("DRESSI_CACHE", str(tmp_path))
+    monkeypatch.setattr(vk, "CreatePipelineCache", lambda *_: pytest.fail("the driver was asked"))
+    assert fitted(bundle)[1] == f"off ({cache.distrusted(tmp_path)})" and list(tmp_path.iterdir()) == []
 
 
 def test_four_processes_in_one_folder_never_see_half_a_file(tmp_path):

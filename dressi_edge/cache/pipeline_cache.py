@@ -4,6 +4,9 @@ In: a folder, a `Key` (bundle, device, driver) and the driver's blob. Out: the b
 not there; whatever is truncated, damaged or of another device is ignored before a driver sees it, and a folder that cannot be
 read or written costs time, never an error.
 
+A driver takes its blob as it takes its own code, and no checksum tells who wrote it. So only what nobody but this user (and root)
+could have written reaches a driver: files of ours in a folder of ours, which others may neither write to nor exchange.
+
 A file, little-endian: "DRESSIPC", u32 version 1, u32 0, u64 bytes of the blob, SHA-256 of the key, SHA-256 of the blob,
 the blob.
 """
@@ -15,6 +18,8 @@ import stat
 import struct
 import time
 from typing import NamedTuple
+
+from .files import read_regular
 
 MAGIC = b"DRESSIPC"
 VERSION = 1
@@ -38,6 +43,7 @@ class Key(NamedTuple):
 
     @property
     def digest(self) -> bytes:
+        """Of all its parts: what a file begins with and is called by."""
         return hashlib.sha256(repr(tuple(self)).encode()).digest()
 
     @property
@@ -66,6 +72,45 @@ def default_folder() -> tuple[str | None, str]:
     return (None, "there is no home folder") if folder.startswith("~") else (folder, "")
 
 
+def distrusted(folder: str | os.PathLike) -> str:
+    """Why no driver is given a file of this folder, or "": the folder belongs to another, or others may write to it; or they may put
+    another folder in its place, because a folder that it lies in, or a link on the way, is theirs or open to them (and not sticky).
+    A folder that is not there yet is judged by those it would lie in. On Windows, whose rights are elsewhere, always ""."""
+    if not hasattr(os, "geteuid"):
+        return ""
+    real, me = os.path.realpath(folder), os.geteuid()
+    rulers = {me, 0, os.stat("/").st_uid}  # who owns the root may do anything; in a sandbox that is not 0
+    for at in (*_way(os.path.abspath(folder)), *_way(real)):
+        try:
+            found = os.lstat(at)
+        except OSError:  # not there yet, or not for us to see
+            continue
+        if stat.S_ISLNK(found.st_mode):  # as safe as the folder that it is in
+            continue
+        if found.st_uid not in ({me} if at == real else rulers):
+            return f"{at} belongs to another user ({found.st_uid}); set DRESSI_CACHE to a folder of your own"
+        private = at != real and found.st_gid == found.st_uid  # a group of the user alone, as many systems make them
+        exchanged = at == real or not found.st_mode & stat.S_ISVTX
+        if exchanged and found.st_mode & (stat.S_IWOTH if private else stat.S_IWOTH | stat.S_IWGRP):
+            return f"{at} can be written to by others; chmod go-w it, or set DRESSI_CACHE to a folder of your own"
+    return ""
+
+
+def _way(path: str) -> list[str]:
+    """A path and every folder that it lies in."""
+    found = [path]
+    while found[-1] != os.path.dirname(found[-1]):
+        found.append(os.path.dirname(found[-1]))
+    return found
+
+
+def _not_ours(found: os.stat_result) -> str:
+    """Why this file is not read, or ""."""
+    if hasattr(os, "geteuid") and (found.st_uid != os.geteuid() or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+        return "it belongs to another user, or others may write to it"
+    return ""
+
+
 def belongs(data: bytes, k: Key) -> bool:
     """Whether a driver's blob begins with Vulkan's header, of the device of this key."""
     if len(data) < DRIVER_HEADER.size:
@@ -75,14 +120,13 @@ def belongs(data: bytes, k: Key) -> bool:
 
 
 def load(folder: str | os.PathLike, k: Key) -> bytes | None:
-    """The blob stored under a key, marked as used; None unless it is there, whole and of this device. Never raises OSError."""
+    """The blob stored under a key, marked as used; None unless it is there, whole, of this device, and nobody else's to write.
+    Never raises OSError."""
     path = os.path.join(folder, k.file)
     try:
-        status = os.stat(path)
-        if not stat.S_ISREG(status.st_mode) or not HEADER.size <= status.st_size <= MAX_FOLDER_BYTES:
-            return None  # a pipe would wait for ever
-        with open(path, "rb") as f:
-            text = f.read(MAX_FOLDER_BYTES + 1)
+        if distrusted(folder):
+            return None
+        text = read_regular(path, MAX_FOLDER_BYTES, getattr(os, "O_NOFOLLOW", 0), _not_ours)
     except OSError:
         return None
     data = text[HEADER.size:]
@@ -98,7 +142,7 @@ def load(folder: str | os.PathLike, k: Key) -> bytes | None:
 
 def store(folder: str | os.PathLike, k: Key, data: bytes, limit: int = MAX_FOLDER_BYTES) -> str:
     """Keep a blob under a key, and remove the files used least recently until the folder has at most `limit` bytes of them.
-    Returns "" or why it was not kept; never raises OSError."""
+    Returns "" or why it was not kept; never raises OSError. Nothing is put into a folder that others may write to."""
     if not belongs(data, k):
         return "the driver's blob is not of this device"
     if HEADER.size + len(data) > limit:
@@ -107,6 +151,8 @@ def store(folder: str | os.PathLike, k: Key, data: bytes, limit: int = MAX_FOLDE
     made = False
     try:
         os.makedirs(folder, mode=0o700, exist_ok=True)
+        if why := distrusted(folder):
+            return why
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
         with open(os.open(name, flags, 0o600), "wb") as f:
             made = True

@@ -19,8 +19,9 @@ class PipelineStore:
                                        device.device_uuid, device.driver_uuid)
         self.handle, self.size = 0, pipeline_cache.DRIVER_HEADER.size
         self._folder, why = pipeline_cache.default_folder()
+        why = why or pipeline_cache.distrusted(self._folder)
         self.state = f"off ({why})"
-        if self._folder is None:
+        if why:
             return
         data = pipeline_cache.load(self._folder, self._key)
         initial = {"pInitialData": data} if data else {}
