@@ -1,2 +1,19 @@
 """The ops, by family. Importing this package fills the table."""
-from . import arithmetic, compact, half, inverse_uv, join, leaf, lookup, raster, reduce, texture, texture_gradient, vector  # noqa: F401
+# ruff: noqa: F401
+from . import (
+    arithmetic,
+    compact,
+    half,
+    inverse_uv,
+    join,
+    leaf,
+    lookup,
+    matrix,
+    raster,
+    reduce,
+    stencil,
+    tables,
+    texture,
+    texture_gradient,
+    vector,
+)
