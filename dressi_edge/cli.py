@@ -1,7 +1,7 @@
 """`dressi-edge`: arguments in, a command of dressi_edge/commands, an exit code out.
 
-0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted. An error is one line on stderr. A command's module
-is imported when it runs, so that a device needs no more than the runtime.
+0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted. An error is one line on stderr, and so is a
+note of an input that looks wrong. A command's module is imported when it runs, so that a device needs no more than the runtime.
 """
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import argparse
 import importlib
 import os
 import sys
+import warnings
 
-from .cache.errors import DressiError
+from .cache.errors import DressiError, InputWarning
 
 USAGE, DEFECT, INTERRUPTED = 2, 1, 130
+LONGEST_LINE = 1000
 
 
 class _Parser(argparse.ArgumentParser):
@@ -23,8 +25,13 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _line(text) -> str:
-    """The text on one line, without what would move the cursor."""
-    return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
+    """The text on one line, without what would move the cursor, and cut where a name in it is endless."""
+    text = " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
+    return text if len(text) <= LONGEST_LINE else text[:LONGEST_LINE] + "..."
+
+
+def _note(message, category, *_, **__) -> None:
+    print(f"dressi-edge: note: {_line(message)}", file=sys.stderr)
 
 
 class _Version(argparse.Action):
@@ -144,6 +151,14 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Run a command; its exit code."""
     args = parser().parse_args(argv)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of libraries: nothing of ours
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = _note
+        return _run(args)
+
+
+def _run(args) -> int:
     module, function = args.target.split(":")
     try:
         try:

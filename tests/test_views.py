@@ -2,18 +2,21 @@
 
 import json
 import struct
+import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from dressi_edge.cache.errors import InputError
+from dressi_edge.cache.errors import InputError, InputWarning
 from dressi_edge.compiler.io.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
-from dressi_edge.compiler.io.images import linear_to_srgb, load_images, srgb_to_linear
-from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
+from dressi_edge.compiler.io.gltf_cameras import gltf_cameras
+from dressi_edge.compiler.io.images import linear_to_srgb, load_images, names_of, natural, srgb_to_linear
+from dressi_edge.compiler.io.meshes import Mesh, load_mesh, load_texture, normalize
 from dressi_edge.compiler.io.shapes import pear
-from dressi_edge.compiler.io.views import Views, load_gltf_cameras, load_views
+from dressi_edge.compiler.io.views import Views, load_gltf_views, load_views
 from dressi_edge.compiler.io.writers import save_json, save_png
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -204,12 +207,77 @@ def test_frame_values_win_and_angles_are_horizontal(folder):
     (lambda d: d.update(fl_x=-3), "fl_x is -3"),
     (lambda d: [d.pop("fl_x"), d.update(camera_angle_x=40.0)], "camera_angle_x is 40.0; it must be between 0 and pi"),
     (lambda d: d.update(k1=0.1), "lens distortion k1 is 0.1"),
+    (lambda d: d.update(k5=0.3), "lens distortion k5 is 0.3; only 0 is allowed"),
+    (lambda d: d["frames"][1].update(p2=-1e-9), "frame 1: lens distortion p2 is -1e-09"),
+    (lambda d: d.update(k1="much"), "lens distortion k1 is 'much'"),
+    (lambda d: d.update(distortion_params=[0, 0.1]), r"distortion_params is \[0, 0.1\]"),
+    (lambda d: d.update(camera_model="OPENCV_FISHEYE"), "camera_model is 'OPENCV_FISHEYE'; only pinhole cameras"),
+    (lambda d: d["frames"][1].update(camera_model="EQUIRECTANGULAR"), "frame 1: camera_model is 'EQUIRECTANGULAR'"),
+    (lambda d: d.update(camera_model=7), "camera_model is 7"),
+    (lambda d: d.update(is_fisheye=True), "is_fisheye is True; only pinhole"),
+    (lambda d: d.update(fisheye_crop_radius=1000.0), "fisheye_crop_radius is 1000.0"),
+    (lambda d: d["frames"][0].update(ftheta_p1=0.5), "ftheta_p1 is 0.5"),
+    (lambda d: d.update(rolling_shutter=[0.0, 0.0, 0.02]), "rolling_shutter is"),
+    (lambda d: d["frames"][0].update(mask_path="m.png"), "frame 0: mask_path is not read: the mask is the alpha"),
+    (lambda d: d.update(white_transparent=True), "white_transparent is not read"),
+    (lambda d: d.update(K=[[9, 0, 4], [0, 9, 3], [0, 0, 1]]), "K is not read: intrinsics are read from fl_x"),
+    (lambda d: d.update(fl_X=9), "fl_X is an unknown key; did you mean fl_x"),
+    (lambda d: d["frames"][1].update(pose=1), "frame 1: pose is an unknown key"),
+    (lambda d: d["frames"][1].update(fl_x=10 ** 400), "frame 1: fl_x is inf; it must be a finite number"),
+    (lambda d: d.update(x_fov=190), "x_fov is 190; it must be between 0 and 180"),
+    (lambda d: d.update(train_filenames=["other.png"]), "train_filenames names none of the 2 frames"),
+    (lambda d: d.update(train_filenames="000"), "train_filenames is '000'; a list"),
+    (lambda d: d.update(w="8"), "w is '8'; it must be a finite number"),
+    (lambda d: d["frames"][0].update(file_path="a" * 5000), "does not exist"),
+    (lambda d: d["frames"][0].update(file_path="a\0b"), "does not exist"),
+    (lambda d: d["frames"][0].update(file_path="\ud800"), "half a surrogate pair"),
+    (lambda d: d.update(up=[[[1] * 3]] * 3, aabb=eval("[" * 40 + "]" * 40)), "nests deeper than 32 levels"),
     (lambda d: d.update(w=16), "states 16x6 pixels, but .*000.png has 8x6"),
 ])
 def test_a_malformed_transforms_file_is_named(folder, change, message):
     with pytest.raises(InputError, match=message) as caught:
         load_views(edited(folder, change))
     assert "transforms.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_keys_that_change_nothing_or_are_applied_are_taken(folder):
+    """What the usual tools write for a pinhole without distortion."""
+    plain = load_views(folder)
+
+    def change(document):
+        document |= {"camera_model": "OPENCV", "k1": 0, "k2": 0.0, "p1": 0.0, "is_fisheye": False, "aabb_scale": 16, "w": 8, "h": 6.0,
+                     "applied_transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "ply_file_path": "sparse.ply", "scale": 0.33,
+                     "distortion_params": [0, 0, 0, 0], "mask_path": None}
+        for frame in document["frames"]:
+            frame |= {"sharpness": float("nan"), "rotation": 0.1, "colmap_im_id": 10 ** 30, "depth_file_path": "d.png"}
+
+    found = load_views(edited(folder, change))
+    assert all(np.array_equal(a.clip_rows(), b.clip_rows()) for a, b in zip(plain.cameras, found.cameras, strict=True))
+    wide = load_views(edited(folder, lambda d: [d.pop("fl_x"), d.pop("fl_y"), d.update(x_fov=90.0)]))
+    assert np.isclose(wide.cameras[0].fx, 4.0) and np.isclose(wide.cameras[0].fy, 4.0)
+    assert load_views(edited(folder, lambda d: d.update(train_filenames=["./001"]))).names == ("001",)
+
+
+def test_a_byte_order_mark_is_no_mistake(folder):
+    file = folder / "transforms.json"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert len(load_views(folder)) == 2
+
+
+def test_a_scene_that_moves_is_noted(folder):
+    with pytest.warns(InputWarning, match="different times"):
+        load_views(edited(folder, lambda d: [frame.update(time=k) for k, frame in enumerate(d["frames"])]))
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("[" * 100_000, "nests deeper than 32"), ("{" * 100_000, "malformed"),
+    ('{"frames": ' + "[" * 50 + "]" * 50 + "}", "nests deeper than 32"),
+    ('{"a": ' + "9" * 5000 + "}", "has no frames"), ('{"frames": NaN}', "has no frames"), ('{"\\ud800": 1}', "half a surrogate pair"),
+    ('"frames"', "has no frames"), ("\0", "malformed"), ("", "malformed")])
+def test_no_text_is_too_odd_for_one_line(folder, text, message):
+    (folder / "transforms.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_views(folder)
 
 
 def test_malformed_json_is_named_by_line(folder):
@@ -244,6 +312,61 @@ def test_images_need_alpha_one_size_and_to_be_images(folder):
     (folder / "001.png").write_bytes((folder / "000.png").read_bytes()[:40])
     with pytest.raises(InputError, match="001.png cannot be read"):
         load_views(folder)
+
+
+def test_pictures_of_a_directory_come_as_people_count(tmp_path):
+    for k in (10, 9, 2, 1, 100):
+        save_png(tmp_path / f"img{k}.png", np.full((6, 8, 4), k / 100))
+    images, names = load_images(tmp_path)
+    assert names == ("img1", "img2", "img9", "img10", "img100") and np.allclose(images[:, 0, 0, 0], (0.01, 0.02, 0.09, 0.1, 1), atol=0.002)
+    order = sorted(["b2", "a10", "a2", "A3", "a2b10", "a2b9", "7", "07", "", "a"], key=natural)
+    assert order == ["", "07", "7", "a", "a2", "a2b9", "a2b10", "A3", "a10", "b2"]
+
+
+@pytest.mark.parametrize(("files", "names"), [
+    (["a/0.png", "a/1.png"], ("0", "1")), (["cam0/0001.png", "cam1/0001.png"], ("cam0/0001", "cam1/0001")),
+    (["r/cam0/img/1.png", "r/cam1/img/1.png", "r/cam1/img/2.png"], ("cam0/img/1", "cam1/img/1", "cam1/img/2")),
+    (["a.png", "a.webp"], ("a.png", "a.webp")), (["a.png", "a.png", "b.png"], ("a.png", "a.png (2)", "b.png")),
+    (["x\udcff.png"], ("x?",))])
+def test_every_picture_has_a_name_of_its_own(files, names):
+    assert names_of([Path(file) for file in files]) == names
+
+
+def test_a_rig_loses_no_camera(folder):
+    for name in ("cam0", "cam1"):
+        (folder / name).mkdir()
+    for k in (0, 1):
+        (folder / f"00{k}.png").rename(folder / f"cam{k}" / "0001.png")
+    views = load_views(edited(folder, lambda d: [f.update(file_path=f"cam{k}/0001.png") for k, f in enumerate(d["frames"])]))
+    assert views.names == ("cam0/0001", "cam1/0001") and np.allclose(views.images[1], 0.8)
+
+
+@pytest.mark.parametrize(("size", "message"), [
+    ((1 << 14, 1 << 13), r"image .*big.png is 16384x8192; at most 67108864 pixels are allowed, such as 8192x8192"),
+    ((1 << 14, 1 << 14), r"big.png is 16384x16384; at most")])
+def test_a_picture_too_large_is_named_with_its_size(tmp_path, size, message):
+    picture = Image.new("P", (1, 1))
+    picture.save(tmp_path / "big.png")
+    data = bytearray((tmp_path / "big.png").read_bytes())
+    data[16:24] = struct.pack(">II", *size)  # the header says so; no decoder gets to see that there is no more
+    data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))
+    (tmp_path / "big.png").write_bytes(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for load in (lambda: load_images([tmp_path / "big.png"]), lambda: load_texture(tmp_path / "big.png")):
+            with pytest.raises(InputError, match=message.replace("image", "(image|texture)")):
+                load()
+    assert Image.MAX_IMAGE_PIXELS, "the library's own bound is as it was"
+
+
+def test_a_check_of_sizes_comes_before_any_pixel(folder):
+    def refuse(count, width, height):
+        raise InputError(f"{count} of {width}x{height}")
+
+    (folder / "001.png").write_bytes((folder / "001.png").read_bytes()[:60])  # a header and nothing to decode
+    for size, told in ((None, "2 of 8x6"), ((4, 3), "2 of 4x3")):
+        with pytest.raises(InputError, match=told):
+            load_views(folder, size, fits=refuse)
 
 
 def test_images_of_a_directory_come_by_name(folder):
@@ -288,12 +411,40 @@ def test_gltf_cameras_have_world_transforms(tmp_path, suffix):
     text += b" " * (-len(text) % 4)
     header = struct.pack("<4sII", b"glTF", 2, 20 + len(text)) + struct.pack("<I4s", len(text), b"JSON")
     (tmp_path / f"c{suffix}").write_bytes(text if suffix == ".gltf" else header + text)
-    (camera,) = load_gltf_cameras(tmp_path / f"c{suffix}", 64, 48)
+    (camera,) = gltf_cameras(tmp_path / f"c{suffix}", 64, 48)[0]
     assert np.allclose(camera.position, (1, 0, 6)) and np.isclose(camera.fx, 24.0) and np.isclose(camera.fy, 24.0)
     assert np.allclose(camera.camera_to_world[:3, 2], (1, 0, 0)) and (camera.near, camera.far) == (0.1, 100.0)
 
 
+def gltf_scene(nodes):
+    return GLTF | {"nodes": [{"camera": 0, "translation": [k, 0, 3], **more} for k, more in enumerate(nodes)],
+                   "scenes": [{"nodes": list(range(len(nodes)))[::-1]}]}
+
+
+def test_gltf_cameras_come_in_order_of_the_scene_and_go_to_pictures_of_their_names(folder):
+    file = folder / "c.gltf"
+    file.write_text(json.dumps(gltf_scene([{"name": "right"}, {"name": "left"}])))
+    cameras, names = gltf_cameras(file, 8, 6)
+    assert names == ("left", "right") and [c.position[0] for c in cameras] == [1, 0]
+    assert [c.position[0] for c in load_gltf_views(file, folder).cameras] == [1, 0], "pictures 000, 001: by order"
+    file.write_text(json.dumps(gltf_scene([{"name": "000"}, {"name": "001"}])))
+    views = load_gltf_views(file, folder, (4, 3))
+    assert [c.position[0] for c in views.cameras] == [0, 1] and views.names == ("000", "001") and views.images.shape == (2, 3, 4, 4)
+
+
+def test_an_aspect_ratio_of_other_pictures_is_noted(tmp_path):
+    document = json.loads(json.dumps(GLTF))
+    document["cameras"][0]["perspective"]["aspectRatio"] = 2.0
+    (tmp_path / "c.gltf").write_text(json.dumps(document))
+    with pytest.warns(InputWarning, match="aspect ratio 2, but the pictures are 64x48"):
+        gltf_cameras(tmp_path / "c.gltf", 64, 48)
+
+
 @pytest.mark.parametrize(("change", "message"), [
+    (lambda d: d["scenes"][0].update(nodes=[-1]), "not well-formed"), (lambda d: d.update(scene=-1), "not well-formed"),
+    (lambda d: d["nodes"][1].update(camera="0"), "not well-formed"), (lambda d: d["nodes"][1].update(translation=[1e400] * 3), "transform"),
+    (lambda d: d["cameras"][0]["perspective"].update(yfov=10 ** 400), "field of view"),
+    (lambda d: d["cameras"][0]["perspective"].update(znear=None), "not well-formed"),
     (lambda d: d.update(nodes=[{}]), "no camera"), (lambda d: d["nodes"][0].update(children=[7]), "not well-formed"),
     (lambda d: d["nodes"][1].update(children=[0]), "must form a tree"), (lambda d: d.pop("cameras"), "not well-formed"),
     (lambda d: d["cameras"][0].update(type="orthographic"), "only perspective"),
@@ -304,13 +455,13 @@ def test_malformed_gltf_cameras_are_named(tmp_path, change, message):
     change(document)
     (tmp_path / "c.gltf").write_text(json.dumps(document))
     with pytest.raises(InputError, match=message):
-        load_gltf_cameras(tmp_path / "c.gltf", 64, 48)
+        gltf_cameras(tmp_path / "c.gltf", 64, 48)
 
 
 def test_truncated_glb_is_named(tmp_path):
     (tmp_path / "c.glb").write_bytes(b"glTF\x02\x00\x00\x00")
     with pytest.raises(InputError, match="truncated"):
-        load_gltf_cameras(tmp_path / "c.glb", 64, 48)
+        gltf_cameras(tmp_path / "c.glb", 64, 48)
 
 
 # Meshes, textures, cameras and images together

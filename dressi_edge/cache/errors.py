@@ -1,4 +1,6 @@
-"""Every error the product raises on purpose. One line each: what, where, what is allowed, what to do."""
+"""Every error the product raises on purpose, and its one warning. One line each: what, where, what is allowed, what to do."""
+
+import warnings
 
 
 class DressiError(Exception):
@@ -11,6 +13,16 @@ class InputError(DressiError, ValueError):
     """A mesh, image, camera, job or array that cannot be used."""
 
     exit_code = 3
+
+
+class InputWarning(UserWarning):
+    """Something in an input that was left out, changed or looks wrong, and that the result can do without. One line: what, and what
+    was or can be done. The command line prints it as `dressi-edge: note: ...`."""
+
+
+def note(text: str) -> None:
+    """Warns the caller's caller of an input: an InputWarning."""
+    warnings.warn(InputWarning(text), stacklevel=3)
 
 
 class GraphError(InputError):

@@ -16,7 +16,7 @@ def compile_job(args) -> None:
     from ..compiler.backend.needs import shadowed
     from ..compiler.scene.job import load_job
     start = time.perf_counter()
-    description = load_job(args.job).compile(profiles, args.output, storage=args.storage)
+    description = load_job(args.job, profiles).compile(profiles, args.output, storage=args.storage)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
     plans = {d["profile"]["name"]: summary(d) for d in variants}

@@ -1,15 +1,21 @@
 """Pictures: files to arrays, colour encodings, averaging to another size."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from ...cache.errors import InputError
+from .text import is_file, is_folder, shown
 
 IMAGE_SUFFIXES = (".png", ".webp", ".tif", ".tiff")  # those that can hold alpha
+MAX_PIXELS = 1 << 26  # of one picture: as float64 RGB 1.6 GB, of the 4 GB that a bundle may have 1 GB
 
 
 def srgb_to_linear(x: np.ndarray) -> np.ndarray:
@@ -28,38 +34,93 @@ def _float(x: np.ndarray) -> np.dtype:
     return x.dtype if np.issubdtype(x.dtype, np.floating) else np.dtype(np.float64)
 
 
-def load_images(source: str | Path | Sequence[str | Path]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Images (n, h, w, 4) float32 as stored and their names (file names without extension), of a list of files or of every
-    image in a directory, by name. All need an alpha channel and one size."""
+def load_images(source: str | Path | Sequence[str | Path], fits: Callable[[int, int, int], None] | None = None
+                ) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Images (n, h, w, 4) float32 as stored and their names (`names_of`), of a list of files or of every image in a directory, 2
+    before 10. All need an alpha channel and one size. fits: called with n, width and height before any pixel is read. InputError."""
     if isinstance(source, str | Path):
-        if not Path(source).is_dir():
-            raise InputError(f"image directory {source} does not exist; check the path, or give a list of files")
-        files = sorted(file for file in Path(source).iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+        if not is_folder(Path(source)):
+            raise InputError(f"image directory {shown(source)} does not exist; check the path, or give a list of files")
+        files = sorted((file for file in Path(source).iterdir() if file.suffix.lower() in IMAGE_SUFFIXES), key=lambda f: natural(f.name))
     else:
         files = [Path(file) for file in source]
     if not files:
-        raise InputError(f"no image in {source}; give at least one of {', '.join(IMAGE_SUFFIXES)}")
-    images: list[np.ndarray] = []
-    for file in files:
-        images.append(_load_image(file))
-        if images[-1].shape != images[0].shape:
-            (h, w), (h0, w0) = images[-1].shape[:2], images[0].shape[:2]
-            raise InputError(f"image {file} is {w}x{h}, but {files[0]} is {w0}x{h0}; all views need one size")
-    return np.stack(images), tuple(file.stem for file in files)
-
-
-def _load_image(path: Path) -> np.ndarray:
-    if not path.is_file():
-        raise InputError(f"image file {path} does not exist; check the path")
-    try:
-        with Image.open(path) as image:
+        raise InputError(f"no image in {shown(source)}; give at least one of {', '.join(IMAGE_SUFFIXES)}")
+    sizes = [picture_size(file) for file in files]
+    for file, (w, h) in zip(files, sizes):
+        if (w, h) != sizes[0]:
+            raise InputError(f"image {shown(file)} is {w}x{h}, but {shown(files[0])} is {sizes[0][0]}x{sizes[0][1]}; "
+                             "all views need one size")
+    if fits is not None:
+        fits(len(files), *sizes[0])
+    images = np.empty((len(files), sizes[0][1], sizes[0][0], 4), np.float32)
+    for k, file in enumerate(files):
+        with opened(file, "image", "save it again as an RGBA PNG") as image:
             if not image.has_transparency_data:
-                raise InputError(f"image {path} has no alpha channel (mode {image.mode}); alpha is the mask; save it as RGBA")
-            return np.asarray(image.convert("RGBA"), dtype=np.float32) / np.float32(255.0)
-    except (OSError, ValueError, SyntaxError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"image {path} cannot be read ({error}); save it again as an RGBA PNG") from None
+                raise InputError(f"image {shown(file)} has no alpha channel (mode {image.mode}); alpha is the mask; save it as RGBA")
+            images[k] = np.asarray(image.convert("RGBA"))
+    images /= np.float32(255.0)
+    return images, names_of(files)
+
+
+def picture_size(path: str | Path) -> tuple[int, int]:
+    """(width, height) of an image file by its header. Raises InputError."""
+    with opened(path, "image", "save it again as an RGBA PNG") as image:
+        return image.size
+
+
+@contextlib.contextmanager
+def opened(path: str | Path, what: str, hint: str) -> Iterator[Image.Image]:
+    """The picture in a file, its pixels not yet read: of at most `MAX_PIXELS`. Whatever goes wrong with the file, then or while its pixels
+    are read, is an InputError that calls it `what` and ends with `hint`."""
+    if not is_file(Path(path)):
+        raise InputError(f"{what} file {shown(path)} does not exist; check the path")
+    try:
+        with _any_size(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the library, about chunks that do not matter
+            with Image.open(path) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    side = math.isqrt(MAX_PIXELS)
+                    raise InputError(f"{what} {shown(path)} is {image.width}x{image.height}; at most {MAX_PIXELS} pixels are allowed, "
+                                     f"such as {side}x{side}; make it smaller")
+                yield image
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  (decoders raise anything on a broken file)
+        raise InputError(f"{what} {shown(path)} cannot be read ({shown(error)}); {hint}") from None
+
+
+@contextlib.contextmanager
+def _any_size() -> Iterator[None]:
+    """Without the library's own bound on pictures, whose error does not say their size."""
+    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
+def natural(name: str) -> tuple:
+    """A key that sorts names as people count: 2 before 10."""
+    return tuple((int(part), "") if k % 2 else (-1, part.casefold()) for k, part in enumerate(re.split("([0-9]{1,18})", name))), name
+
+
+def names_of(files: Sequence[Path]) -> tuple[str, ...]:
+    """A name of its own for each of the files: its name without extension, with as many of its folders as tell them apart (cameras of a
+    rig number their pictures alike), with the extension where that does, and a number where a file comes twice."""
+    parts = [[*file.parent.parts, file.stem] for file in files]
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(part[-depth:]) for part in parts]
+        if len(set(names)) == len(names):
+            break
+    else:
+        names = [file.as_posix() for file in files]
+    seen: dict[str, int] = {}
+    for k, name in enumerate(names):
+        seen[name] = seen.get(name, 0) + 1
+        if seen[name] > 1:
+            names[k] = f"{name} ({seen[name]})"
+    return tuple(name.encode("utf-8", "replace").decode() for name in names)
 
 
 def downsampled(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -16,7 +16,7 @@ from PIL import Image
 
 from ...cache.errors import InputError
 from ...cache.layout import beyond_fp32
-from .images import linear_to_srgb, srgb_to_linear
+from .images import linear_to_srgb, opened, srgb_to_linear
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +125,8 @@ def load_mesh(path: str | Path, texture: str | Path | None = None) -> Mesh:
 
 def load_texture(path: str | Path) -> np.ndarray:
     """An image file as a texture (h, w, 3) float64 in [0, 1], as stored; alpha is dropped."""
-    try:
-        with Image.open(path) as image:
-            return _texels(image)
-    except (OSError, ValueError) as error:
-        raise InputError(f"texture {path} cannot be read ({error}); give a PNG or JPEG file") from None
+    with opened(path, "texture", "give a PNG or JPEG file") as image:
+        return _texels(image)
 
 
 def _texels(image: Image.Image) -> np.ndarray:

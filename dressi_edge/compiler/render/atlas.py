@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 from ..graph.ir import Extent, image
 
+COMMON_SIDE = 4096  # what every device allows (Vulkan 1.0, "Required Limits", maxFramebufferWidth)
+
 
 @dataclass(frozen=True)
 class Atlas:
@@ -21,6 +23,13 @@ class Atlas:
 
     @staticmethod
     def of(width: int, height: int, views: int) -> Atlas:
-        """The atlas nearest to a square with few empty cells."""
-        best = min(range(1, views + 1), key=lambda c: (-(-views // c) * c - views, abs(c * width - -(-views // c) * height)))
-        return Atlas(width, height, views, best)
+        """The atlas nearest to a square with few empty cells among those within `COMMON_SIDE`, else the one whose longer side is least."""
+        def shape(columns: int) -> tuple[int, int, int]:
+            rows = -(-views // columns)
+            return rows * columns - views, columns * width, rows * height
+
+        def rank(columns: int) -> tuple[int, int, int]:
+            empty, across, down = shape(columns)
+            return max(across, down, COMMON_SIDE), empty, abs(across - down)
+
+        return Atlas(width, height, views, min(range(1, views + 1), key=rank))

@@ -5,26 +5,28 @@ of one line: the job file, the key as table.key, what was found, what is allowed
 """
 from __future__ import annotations
 
-import difflib
-import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ...cache.errors import InputError
-from ..io.images import load_images, srgb_to_linear
+from ...cache.profile import Profile
+from ..io.images import srgb_to_linear
 from ..io.meshes import Mesh, load_mesh, load_texture, normalize
 from ..io.shapes import sphere
-from ..io.views import Views, load_gltf_cameras, load_views
+from ..io.text import bounded, read_bytes, shown
+from ..io.views import Views, load_gltf_views, load_views
 from ..render.optimizer import Adam, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from ..render.shade import KINDS as LIGHTS
 from ..render.shade import Light
+from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
+from .tables import NEEDED, Table
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -35,97 +37,10 @@ MAX_FILE_BYTES = 1 << 20
 SHARP = Softness(1.0, delta=0.0)  # of the plan "render": about as soft as a pixel's own area
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
 OPTIMIZERS = {"adam": (Adam, ("rate", "betas", "epsilon")), "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
-_NEEDED = object()
-
-
-class _Table:
-    """A table of the job: typed reads that know where they are."""
-
-    def __init__(self, value, where: str, keys: Iterable[str], file: str):
-        self.where, self.keys, self.file = where, tuple(keys), file
-        if not isinstance(value, dict):
-            raise self.wrong("", value, "a table is needed")
-        self.value = value
-        for key in value:
-            if key not in self.keys:
-                near = difflib.get_close_matches(key, self.keys, 1, 0.5)
-                hint = f"did you mean {near[0]}?" if near else f"allowed: {' '.join(self.keys)}"
-                raise InputError(f"{file}: {self._at(key)} is an unknown key; {hint}")
-
-    def _at(self, key: str) -> str:
-        return ".".join(filter(None, (self.where, key)))
-
-    def wrong(self, key: str, found, allowed: str) -> InputError:
-        return InputError(f"{self.file}: {self._at(key)} is {found!r:.60}; {allowed}")
-
-    def conflict(self, text: str) -> InputError:
-        return InputError(f"{self.file}: {self.where}: {text}")
-
-    def has(self, *keys: str) -> list[str]:
-        return [key for key in keys if key in self.value]
-
-    def get(self, key: str, default=_NEEDED):
-        if key in self.value:
-            return self.value[key]
-        if default is _NEEDED:
-            raise InputError(f"{self.file}: {self._at(key)} is missing; it is needed")
-        return default
-
-    def number(self, key: str, default=_NEEDED, low: float = -math.inf, high: float = math.inf, whole: bool = False,
-               above: bool = False):
-        x = self.get(key, default)
-        if key not in self.value:
-            return x
-        good = isinstance(x, int if whole else (int, float)) and not isinstance(x, bool)
-        good = good and math.isfinite(x) and low <= x <= high
-        if not good or above and x == low:
-            span = f"{'above' if above else 'from'} {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
-            raise self.wrong(key, x, f"a {'whole ' if whole else ''}number{'' if low == -math.inf else ' ' + span} is needed")
-        return x
-
-    def word(self, key: str, default=_NEEDED, allowed: Sequence[str] = ()):
-        x = self.get(key, default)
-        if key in self.value and (not isinstance(x, str) or not x or allowed and x not in allowed):
-            near = difflib.get_close_matches(x, allowed, 1, 0.5) if isinstance(x, str) else []
-            hint = f"did you mean {near[0]}? " if near else ""
-            raise self.wrong(key, x, f"{hint}allowed: {' '.join(allowed)}" if allowed else "a text is needed")
-        return x
-
-    def flag(self, key: str, default: bool) -> bool:
-        x = self.get(key, default)
-        if not isinstance(x, bool):
-            raise self.wrong(key, x, "true or false is needed")
-        return x
-
-    def numbers(self, key: str, count: int, default=_NEEDED, low=-math.inf, high=math.inf, whole=False):
-        x = self.get(key, default)
-        if key not in self.value:
-            return x
-        if not isinstance(x, list) or len(x) != count:
-            raise self.wrong(key, x, f"a list of {count} numbers is needed")
-        cells = _Table({str(k): v for k, v in enumerate(x)}, self._at(key), map(str, range(count)), self.file)
-        return tuple(cells.number(str(k), low=low, high=high, whole=whole) for k in range(count))
-
-    def table(self, key: str, keys: Iterable[str]) -> _Table:
-        return _Table(self.get(key), self._at(key), keys, self.file)
-
-    def tables(self, key: str, keys: Iterable[str]) -> list[_Table]:
-        x = self.get(key, [])
-        if not isinstance(x, list):
-            raise self.wrong(key, x, f"tables [[{self._at(key)}]] are needed")
-        return [_Table(item, f"{self._at(key)}[{k}]", keys, self.file) for k, item in enumerate(x)]
-
-    def checked(self, make, *args, **kwargs):
-        """make(...), with this table named in its InputError."""
-        try:
-            return make(*args, **kwargs)
-        except InputError as error:
-            raise self.conflict(str(error)) from None
-
 
 @dataclass(frozen=True)
 class _Phase:
-    table: _Table
+    table: Table
     name: str
     steps: int
     optimize: dict
@@ -133,30 +48,29 @@ class _Phase:
     soft: dict
 
 
-def load_job(path: str | Path) -> Problem:
-    """The problem of a job file. Raises InputError, naming the file and the key."""
+def load_job(path: str | Path, profiles: Sequence[Profile] = ()) -> Problem:
+    """The problem of a job file. What is too large for one of the `profiles` is said before pictures are decoded. Raises InputError,
+    naming the file and the key."""
     path = Path(path)
+    data = read_bytes(path, "job", MAX_FILE_BYTES)
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"job {path} cannot be read: {error.strerror}; check the path") from None
-    if len(data) > MAX_FILE_BYTES:
-        raise InputError(f"job {path} has {len(data)} bytes; at most {MAX_FILE_BYTES} are allowed")
-    try:
-        document = tomllib.loads(data.decode("utf-8"))
+        document = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: byte {error.start} is not UTF-8; save the job as UTF-8") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not TOML: {error or 'nested too deeply'}; repair it") from None
-    return parse_job(document, path)
+    except RecursionError:
+        raise InputError(f"{path}: not a job: nested too deeply; repair it") from None
+    except ValueError as error:  # a TOMLDecodeError, or a number of thousands of digits
+        raise InputError(f"{path}: not TOML: {shown(error)}; repair it") from None
+    return parse_job(document, path, profiles)
 
 
-def parse_job(document: dict, path: str | Path) -> Problem:
-    """The problem of a parsed job; `path` is its file, for messages and for the paths in it."""
+def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()) -> Problem:
+    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. profiles: as in `load_job`."""
     path = Path(path)
-    job = _Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
+    bounded(document, str(path))
+    job = Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
     make_mesh = _mesh(job, path.parent)
-    views_table, make_views = _views(job, path.parent)
+    views_table, make_views = _views(job, path.parent, fits_views(profiles))
     order = views_table.word("order", "batch", ORDERS)
     seed = views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
@@ -172,6 +86,10 @@ def parse_job(document: dict, path: str | Path) -> Problem:
 
     mesh, views = make_mesh(), make_views()
     albedo = settings["albedo"] or _albedo(phases, mesh)
+    textured = None if albedo != "texture" else settings["texture_size"] if mesh.texture is None else mesh.texture.shape[1::-1]
+    height, width = views.images.shape[1:3]
+    render.checked(fits_scene, profiles, len(views), width * height, order, len(mesh.positions), len(mesh.faces), textured,
+                   {name for phase in phases for name in phase.optimize}, settings["texture_grad"])
     linear_albedo = linear or settings["srgb"]
     if linear_albedo:
         mesh = replace(mesh, texture=None if mesh.texture is None else srgb_to_linear(mesh.texture),
@@ -190,13 +108,13 @@ def parse_job(document: dict, path: str | Path) -> Problem:
     return problem
 
 
-def _mesh(job: _Table, folder: Path):
+def _mesh(job: Table, folder: Path):
     """Reads [mesh]; gives a function that loads it."""
     t = job.table("mesh", ("path", "sphere", "normalize", "texture"))
     if len(t.has("path", "sphere")) != 1:
         raise t.conflict("path or sphere is needed, and not both")
-    scaled, texture = t.flag("normalize", False), t.word("texture", None)
-    file = t.word("path", None)
+    scaled, texture = t.flag("normalize", False), t.file("texture", folder, None)
+    file = t.file("path", folder, None)
     if file is None:
         if scaled:
             raise t.conflict("normalize is for path; a sphere has its radius")
@@ -206,19 +124,20 @@ def _mesh(job: _Table, folder: Path):
     def make() -> Mesh:
         if file is None:
             mesh = ball.checked(sphere, vertices, radius)
-            return mesh if texture is None else replace(mesh, texture=t.checked(load_texture, folder / texture))
-        mesh = t.checked(load_mesh, folder / file, None if texture is None else folder / texture)
+            return mesh if texture is None else replace(mesh, texture=t.checked(load_texture, texture))
+        mesh = t.checked(load_mesh, file, texture)
         return t.checked(normalize, mesh) if scaled else mesh
 
     return make
 
 
-def _views(job: _Table, folder: Path):
+def _views(job: Table, folder: Path, fits: Callable[[int, int, int], None]):
     """Reads [views]; gives the table and a function that loads them."""
     t = job.table("views", ("transforms", "gltf", "images", "size", "order", "seed", "color", "near", "far"))
     if len(t.has("transforms", "gltf")) != 1:
         raise t.conflict("transforms (a NeRF-style JSON or its folder) or gltf (cameras) is needed, and not both")
-    transforms, gltf, size = t.word("transforms", None), t.word("gltf", None), t.numbers("size", 2, None, 1, 16384, whole=True)
+    transforms, gltf = t.file("transforms", folder, None), t.file("gltf", folder, None)
+    size = t.numbers("size", 2, None, 1, 16384, whole=True)
     near, far = t.number("near", 0.05, 0.0, above=True), t.number("far", 100.0, 0.0, above=True)
     if far <= near:
         raise t.wrong("far", far, f"a number above near, {near:g}, is needed")
@@ -227,24 +146,24 @@ def _views(job: _Table, folder: Path):
     images = t.get("images", None)
     if (gltf is None) != (images is None):
         raise t.conflict("gltf and images belong together; transforms names its images itself")
-    listed = images if isinstance(images, list) else [images]
-    if images is not None and not (listed and all(isinstance(i, str) for i in listed)):
-        raise t.wrong("images", images, "a folder or a list of files is needed")
+    if images is not None:
+        listed = images if isinstance(images, list) else [images]
+        if not (listed and all(isinstance(i, str) and i for i in listed)):
+            raise t.wrong("images", images, "a folder or a list of files is needed")
+        listed = [t.path("images", folder, i) for i in listed]
+        images = listed if isinstance(images, list) else listed[0]
 
     def make() -> Views:
         if transforms is not None:
-            return t.checked(load_views, folder / transforms, size, near, far)
-        pixels, names = t.checked(load_images, folder / images if isinstance(images, str) else [folder / i for i in images])
-        cameras = t.checked(load_gltf_cameras, folder / gltf, pixels.shape[2], pixels.shape[1])
-        views = t.checked(Views, pixels, cameras, names)
-        return views if size is None else t.checked(views.resized, size)
+            return t.checked(load_views, transforms, size, near, far, fits)
+        return t.checked(load_gltf_views, gltf, images, size, fits)
 
     return t, make
 
 
-def _render(job: _Table) -> tuple[_Table, dict]:
-    t = _Table(job.get("render", {}), "render", (*SOFT, "shading", "albedo", "albedo_color", "srgb", "background",
-                                                 "texture_size", "wrap", "texture_grad"), job.file)
+def _render(job: Table) -> tuple[Table, dict]:
+    t = Table(job.get("render", {}), "render", (*SOFT, "shading", "albedo", "albedo_color", "srgb", "background",
+                                                 "texture_size", "wrap", "texture_grad"), job.source)
     settings = {"shading": t.word("shading", "unlit", SHADINGS), "albedo": t.word("albedo", None, ALBEDOS),
                 "albedo_color": t.numbers("albedo_color", 3, (0.5,) * 3, 0, 1), "srgb": t.flag("srgb", False),
                 "background": t.numbers("background", 3, (0.0,) * 3, 0, 1),
@@ -256,7 +175,7 @@ def _render(job: _Table) -> tuple[_Table, dict]:
     return t, settings
 
 
-def _soft(t: _Table) -> dict:
+def _soft(t: Table) -> dict:
     """The softness keys of a table that are there."""
     if len(t.has("r", "r_fraction")) > 1:
         raise t.conflict("r (pixels) and r_fraction (of the image's larger side) are both given; give one")
@@ -274,7 +193,7 @@ def _softness(soft: dict, side: int) -> Softness:
     return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"))
 
 
-def _light(t: _Table) -> Light:
+def _light(t: Table) -> Light:
     kind, power = t.word("kind", allowed=LIGHTS), t.get("power")
     if isinstance(power, list):
         power = t.numbers("power", 3, low=0)
@@ -285,20 +204,20 @@ def _light(t: _Table) -> Light:
     return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3))
 
 
-def _phase(t: _Table) -> _Phase:
+def _phase(t: Table) -> _Phase:
     name, steps = t.word("name"), t.number("steps", low=1, high=10 ** 8, whole=True)
     optimize = t.get("optimize")
     if not isinstance(optimize, dict) or not optimize:
         raise t.wrong("optimize", optimize, "a table of parameters such as "
                       "vertices = {optimizer = \"adam\", rate = 0.01} is needed")
-    inner = _Table(optimize, f"{t.where}.optimize", optimize, t.file)
+    inner = Table(optimize, f"{t.where}.optimize", optimize, t.source)
     losses = [_loss(x, steps) for x in t.tables("loss", ("kind", "weight", "norm", "masked", "power"))]
     if not losses:
-        raise InputError(f"{t.file}: {t.where}.loss is missing; at least one [[phase.loss]] is needed")
+        raise InputError(f"{t.source}: {t.where}.loss is missing; at least one [[phase.loss]] is needed")
     return _Phase(t, name, steps, {key: _optimizer(inner, key, steps) for key in optimize}, losses, _soft(t))
 
 
-def _optimizer(outer: _Table, key: str, steps: int) -> Adam | Sgd:
+def _optimizer(outer: Table, key: str, steps: int) -> Adam | Sgd:
     every = tuple(dict.fromkeys(k for _, keys in OPTIMIZERS.values() for k in keys))
     t = outer.table(key, ("optimizer", *every))
     kind = t.word("optimizer", "adam", tuple(OPTIMIZERS))
@@ -315,7 +234,7 @@ def _optimizer(outer: _Table, key: str, steps: int) -> Adam | Sgd:
     return t.checked(make, **given)
 
 
-def _schedule(t: _Table, key: str, steps: int, default=_NEEDED) -> Schedule:
+def _schedule(t: Table, key: str, steps: int, default=NEEDED) -> Schedule:
     """A number or a schedule's table; one with an `end` spans the phase unless it says otherwise."""
     value = t.get(key, default)
     if isinstance(value, dict):
@@ -325,7 +244,7 @@ def _schedule(t: _Table, key: str, steps: int, default=_NEEDED) -> Schedule:
     return t.checked(Schedule.parse, value, key)
 
 
-def _loss(t: _Table, steps: int) -> Loss:
+def _loss(t: Table, steps: int) -> Loss:
     kind = t.word("kind", allowed=(*IMAGE_LOSSES, *MESH_LOSSES))
     of_image = kind in IMAGE_LOSSES
     if wrong := t.has("power") if of_image or kind == "normal_consistency" else t.has("norm", "masked"):

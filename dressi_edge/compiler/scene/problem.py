@@ -35,6 +35,7 @@ from ..render.schedule import Schedule
 from ..render.shade import Light, encode_srgb, lambert
 from ..render.texture import sample_texture
 from ..render.topology import Topology
+from .limits import fits
 
 SHADINGS = ("unlit", "lambert")
 ALBEDOS = ("texture", "colors", "constant")
@@ -261,6 +262,9 @@ class Problem:
         from .results import record
         if not self.program.plans:
             raise InputError("the problem has no phase and renders nothing; add one with phase() or render()")
+        given = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
+        profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in given]
+        fits(self, profiles)
         self.program.meta.update(record(self))
-        return compile_program(self.program, profile, path, **options)
+        return compile_program(self.program, profiles, path, **options)
 
