@@ -46,8 +46,8 @@ from dressi_edge.compiler.io.images import linear_to_srgb
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.camera import fixed_views, to_clip
+from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.raster import Softness, rasterized
-from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.compiler.scene.problem import Problem
 

@@ -39,10 +39,10 @@ from dressi_edge.compiler.io.meshes import Mesh, load_mesh  # noqa: E402
 from dressi_edge.compiler.io.shapes import icosphere, pear  # noqa: E402
 from dressi_edge.compiler.io.views import Views, load_views  # noqa: E402
 from dressi_edge.compiler.io.writers import contact_sheet, loss_curve, save_mesh  # noqa: E402
+from dressi_edge.compiler.render.light import Light  # noqa: E402
 from dressi_edge.compiler.render.optimizer import Adam  # noqa: E402
 from dressi_edge.compiler.render.raster import Softness  # noqa: E402
 from dressi_edge.compiler.render.schedule import Schedule  # noqa: E402
-from dressi_edge.compiler.render.shade import Light  # noqa: E402
 from dressi_edge.compiler.scene.problem import Loss, Problem  # noqa: E402
 
 DATASETS = {"spot": "spot", "bunny": "bunny_lambert"}

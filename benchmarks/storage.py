@@ -38,9 +38,9 @@ from dressi_edge.cache.summary import image_bytes, summary
 from dressi_edge.compiler import describe
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.io.shapes import pear, sphere
+from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.optimizer import Adam
 from dressi_edge.compiler.render.raster import Softness
-from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.scene.problem import Loss, Problem
 from dressi_edge.runtime.device import Device
 

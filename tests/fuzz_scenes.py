@@ -14,9 +14,9 @@ from corpus import icosahedron
 from dressi_edge.cache.layout import CHANNELS
 from dressi_edge.compiler.io.cameras import Camera
 from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
 from dressi_edge.compiler.render.raster import Softness
-from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.scene.problem import Loss, Problem
 
 SIZE, VIEWS = (20, 17), 2

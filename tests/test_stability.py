@@ -28,10 +28,10 @@ from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.io.shapes import sphere
 from dressi_edge.compiler.io.views import Views
+from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.loss import cotangent_laplacian, normal_consistency, uniform_laplacian
 from dressi_edge.compiler.render.optimizer import Adam
 from dressi_edge.compiler.render.raster import Softness
-from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.render.texture import sample_texture
 from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.compiler.scene.problem import Loss, Problem

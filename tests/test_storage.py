@@ -26,9 +26,9 @@ from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.passes.store import halve
+from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
 from dressi_edge.compiler.render.raster import Softness
-from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.scene.problem import Loss, Problem
 
 pytest_plugins = ["gpu"]

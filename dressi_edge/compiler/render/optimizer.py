@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from ...cache.errors import InputError
 from ..graph.functions import clamp, compose, maximum, minimum, select, sqrt, to_float
@@ -30,15 +31,17 @@ def _check(program: Program, name: str, parameter: Node, gradient: Node, step: N
         raise InputError(f"optimizer: step counter {step!r}; a 1x1 int is needed")
 
 
-def _moment(program: Program, name: str, like: str) -> Node:
-    """The state `name`, laid out as the state `like`; phases that optimize the same parameter share it."""
+def state(program: Program, name: str, like: str) -> Node:
+    """What an optimizer keeps: the state `name`, zero at first, laid out as the state `like`; phases that optimize the same parameter
+    share it."""
     layout, known = program.values[like].layout, program.values.get(name)
     if known is not None and program.roles[name] == "state" and known.layout == layout:
         return known.node
     return program.state(name, layout)
 
 
-def _limit(x: Node, low, high) -> Node:
+def limited(x: Node, low, high) -> Node:
+    """x within [low, high], either of which may be None."""
     if low is not None and high is not None:
         return clamp(x, low, high)
     return maximum(x, low) if low is not None else minimum(x, high) if high is not None else x
@@ -63,6 +66,14 @@ def one_minus_power(base: float, t: Node) -> Node:
     for k in range(9, 1, -1):
         series = near * (1.0 / k) * series + 1.0
     return select(x > -0.5, -(near * series), 1.0 - apply("exp", x))
+
+
+class Optimizer(Protocol):
+    """What updates a parameter. One of your own has this method; `state` makes what it keeps from step to step."""
+
+    def update(self, program: Program, name: str, parameter: Node, gradient: Node, step: Node, *, low=None, high=None,
+               mask: Node | None = None) -> dict[str, Node]:
+        """See `Adam.update`."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +101,9 @@ class Sgd:
         rate, updates = self.rate.node(step), {}
         if self.momentum:
             key = f"{name}.momentum"
-            updates[key] = buffer = _moment(program, key, name) * _decay(step, self.momentum, g) + g
+            updates[key] = buffer = state(program, key, name) * _decay(step, self.momentum, g) + g
             g = g + buffer * self.momentum if self.nesterov else buffer
-        return {name: _limit(parameter - g * rate, low, high), **updates}
+        return {name: limited(parameter - g * rate, low, high), **updates}
 
 
 @dataclass(frozen=True)
@@ -134,7 +145,7 @@ class Adam:
         # one image of one texel, not four: every texel of the parameter reads it
         decays = select(later, beta1, 0.0), select(later, beta2, 0.0)
         scalars = apply("broadcast", compose(*decays, size, root * self.epsilon), extent=g.extent)
-        m = _moment(program, m_name, name) * scalars.x + g * (1.0 - beta1)
-        v = _moment(program, v_name, name) * scalars.y + g * g * (1.0 - beta2)
+        m = state(program, m_name, name) * scalars.x + g * (1.0 - beta1)
+        v = state(program, v_name, name) * scalars.y + g * g * (1.0 - beta2)
         moved = parameter - m * scalars.z / (sqrt(v) + scalars.w)
-        return {name: _limit(moved, low, high), m_name: m, v_name: v}
+        return {name: limited(moved, low, high), m_name: m, v_name: v}

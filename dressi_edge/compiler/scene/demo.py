@@ -12,7 +12,11 @@ from ..io.cameras import Camera, orbit
 from ..io.meshes import Mesh
 from ..io.shapes import sphere
 from ..io.views import Views
-from .problem import Adam, Light, Loss, Problem, Schedule, Softness
+from ..render.light import Light
+from ..render.optimizer import Adam
+from ..render.raster import Softness
+from ..render.schedule import Schedule
+from .problem import Loss, Problem
 
 VIEWS = 6
 SHARP = Softness(1.0, delta=0.0)

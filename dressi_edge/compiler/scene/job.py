@@ -19,11 +19,11 @@ from ..io.meshes import Mesh, load_mesh, load_texture, normalize
 from ..io.shapes import sphere
 from ..io.text import bounded, read_bytes, shown
 from ..io.views import Views, load_gltf_views, load_views
+from ..render.light import KINDS as LIGHTS
+from ..render.light import Light
 from ..render.optimizer import Adam, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
-from ..render.shade import KINDS as LIGHTS
-from ..render.shade import Light
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
 from .tables import NEEDED, Table

@@ -29,6 +29,7 @@ from ...graph.functions import (
 )
 from ...graph.ir import Node, table
 from ...graph.ops.compact import Compact, compact, count_set
+from ...graph.ops.join import portion
 from ...graph.ops.reduce import TILE
 from ..atlas import Atlas
 from ..topology import Topology
@@ -96,9 +97,17 @@ class Layer:
     far: Node | None = None
 
 
-class Rasterized:
-    """What both distances share: one layer or more, their blends, and attributes at their points. faces: whether it matters which face
-    a pixel shows, and not only whether there is one."""
+@dataclass(frozen=True, eq=False)
+class Span:
+    """The faces of one part among those that are drawn together: from `first` on, with a topology of their own."""
+
+    topology: Topology
+    first: int
+
+
+class Fragments:
+    """What a renderer gives, and what all of them share: one layer or more, how they compose, and attributes at their points. faces:
+    whether it matters which face a pixel shows, and not only whether there is one."""
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         self.clip, self.topology, self.atlas, self.softness, self.near, self.faces = clip, topology, atlas, softness, near, faces
@@ -156,9 +165,9 @@ class Rasterized:
         return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
                        (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
 
-    def corners(self, table: Node, per_view: bool = False) -> list[Node]:
+    def corners(self, table: Node, per_view: bool = False, span: Span | None = None) -> list[Node]:
         """Tables (views x faces) of an attribute at the three sorted corners of each face."""
-        t, views = self.topology, self.atlas.views
+        t, views = (span or self).topology, self.atlas.views
         step = t.vertex_count if per_view else 0
         return [lookup(table, np.concatenate([v * step + t.sorted_faces[:, k] for v in range(views)])) for k in range(3)]
 
@@ -184,18 +193,48 @@ class Rasterized:
         norm = maximum(b[0] + b[1] + b[2], 1e-5)
         return [x / norm for x in b]
 
-    def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None) -> Node:
-        """A vertex attribute (V table) at the layer's point; zero where there is no face."""
+    @property
+    def view(self) -> Node:
+        """The view of each pixel."""
+        return apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
+
+    def face_in_view(self, layer: Layer, span: Span | None = None) -> Node:
+        """The layer's face as its view (and the span, if given) numbers it; -1 where there is none."""
+        face = select(layer.face >= 0, layer.face - self.view * len(self.topology.faces), -1)
+        if span is None:
+            return face
+        inside = apply("bit_and", face >= span.first, face < span.first + len(span.topology.faces))
+        return select(inside, face - span.first, -1)
+
+    def face_over_views(self, layer: Layer, span: Span | None = None) -> Node:
+        """The layer's face as tables of views x faces (of the span, if given) have it; -1 where there is none."""
+        if span is None:
+            return layer.face
+        face = self.face_in_view(layer, span)
+        return select(face >= 0, face + self.view * len(span.topology.faces), -1)
+
+    def _boxes_of(self, span: Span | None) -> Node:
+        if span is None:
+            return self.face_boxes
+        return portion(self.face_boxes, span.first, len(span.topology.faces), self.atlas.views)
+
+    def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None, span: Span | None = None) -> Node:
+        """A vertex attribute (a table of all vertices, or of the span's) at the layer's point; zero where there is no face."""
         weights = weights or self.barycentrics(layer)
-        values = [lookup(c, layer.face, self.face_boxes) for c in self.corners(attribute)]
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        values = [lookup(c, face, boxes) for c in self.corners(attribute, span=span)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
-    def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None) -> Node:
+    def of_face(self, layer: Layer, values: Node, span: Span | None = None) -> Node:
+        """The entry of a table of views x faces (of all, or of the span) that belongs to the layer's face; zero where there is none."""
+        return lookup(values, self.face_over_views(layer, span), self._boxes_of(span))
+
+    def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None,
+                             span: Span | None = None) -> Node:
         """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
-        weights = weights or self.barycentrics(layer)
-        order = np.argsort(self.topology.faces, axis=1, kind="stable")
-        sorted_corners = np.take_along_axis(np.asarray(corners)[self.topology.kept], order[..., None], 1)
-        view = apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
-        face = select(layer.face >= 0, layer.face - view * len(self.topology.faces), -1)
+        weights, topology = weights or self.barycentrics(layer), (span or self).topology
+        order = np.argsort(topology.faces, axis=1, kind="stable")
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order[..., None], 1)
+        face = self.face_in_view(layer, span)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]

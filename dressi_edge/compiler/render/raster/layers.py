@@ -8,11 +8,11 @@ from ...graph.functions import apply, compose, constant_table, lookup, maximum, 
 from ...graph.ir import Node
 from ..atlas import Atlas
 from ..topology import Topology
-from .fragments import BIN, GUARDED, Layer, Rasterized, around, listed_boxes
+from .fragments import BIN, GUARDED, Fragments, Layer, around, listed_boxes
 from .softness import Softness
 
 
-class Layers(Rasterized):
+class PeeledFragments(Fragments):
     """Distance "face": the front faces, drawn hard, and in the edge mask the peels of the enlarged faces (paper 3.4.2).
 
     Equations 5 and 6 use soft fragments and the layers behind the first in the edge mask alone, so only faces that come near it are

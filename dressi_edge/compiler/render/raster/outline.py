@@ -10,11 +10,11 @@ from ...graph.ir import Node
 from ...graph.ops.compact import Compact
 from ..atlas import Atlas
 from ..topology import Topology
-from .fragments import BIN, GUARDED, Layer, Rasterized, around, listed_boxes, near_faces
+from .fragments import BIN, GUARDED, Fragments, Layer, around, listed_boxes, near_faces
 from .softness import Softness
 
 
-class Outline(Rasterized):
+class OutlineFragments(Fragments):
     """Distance "outline": the front faces, drawn hard, and around the mesh's fold and boundary edges the nearest of them.
 
     A pixel beside an uncovered one, across the nearest point of its edge, has an alpha of its distance to that edge; so has any

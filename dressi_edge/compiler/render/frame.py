@@ -1,0 +1,199 @@
+"""What the cameras see, as images over all views of a frame (docs/conventions.md, "Atlas"); each made only if something reads it.
+
+In: parts, views, a renderer, a background. Out: `color` and `alpha` as the renderer composes them, softly at outlines; everything else
+(`mask`, `depth`, `normal`, `position`, `uv`, `face`, `part`, ...) of what is in front at the pixel's centre, zero (ids: -1) elsewhere.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+from ...cache.errors import InputError
+from ..graph.functions import apply, compose, constant_table, lookup, select, to_float, to_int
+from ..graph.ir import UNIT, Node, intern, rebuild, topological
+from .atlas import Atlas
+from .camera import ViewTable
+from .material import shaded
+from .part import Parts
+from .raster import Fragments, Renderer, near_faces
+from .surface import Surface
+
+
+class Frame:
+    """views: those that are drawn; atlas: their cells. all_views: the cells of all views of the scene, chosen: which of them this frame
+    draws (an int of extent 1x1), None for all. encode: from linear radiance to the colours of the picture. step: of the phase, an int.
+    who: of part number k, words for errors of its material."""
+
+    def __init__(self, parts: Parts, views: ViewTable, atlas: Atlas, renderer: Renderer, background: Node, *,
+                 all_views: Atlas | None = None, chosen: Node | None = None, encode: Callable[[Node], Node] | None = None,
+                 step: Node | None = None, who: Callable[[int], str] = lambda k: f"the material of part {k}"):
+        self.parts, self.views, self.atlas, self.renderer, self.background = parts, views, atlas, renderer, background
+        self.all_views, self.chosen, self.encode, self.step, self._who = all_views or atlas, chosen, encode, step, who
+        self._weights: dict[int, list[Node]] = {}
+        self._surfaces: dict[tuple[int, int], Surface] = {}
+
+    # ---- what is drawn
+
+    @cached_property
+    def clip(self) -> Node:
+        """Clip coordinates of all vertices of all parts, view-major."""
+        return self.parts.clip(self.views)
+
+    @cached_property
+    def fragments(self) -> Fragments:
+        """Which faces pixels show."""
+        return self.renderer.draw(self.clip, self.parts.topology, self.atlas, self.views.near, True)
+
+    @cached_property
+    def _outline(self) -> Fragments:
+        """Only whether there is one."""
+        return self.renderer.draw(self.clip, self.parts.topology, self.atlas, self.views.near, False)
+
+    def settled(self, roots: list[Node]) -> list[Node]:
+        """The roots of a plan; where they read which faces pixels show, silhouettes are taken from the same drawing."""
+        if not {"_outline", "fragments"} <= self.__dict__.keys() or self.fragments.front not in topological(roots):
+            return roots
+        same = {self._outline.silhouette(): self.fragments.silhouette(),
+                self._outline.layers[0].hard: self.fragments.layers[0].hard}
+        new = rebuild(roots, lambda n, inputs: same.get(n) or intern(n.op, inputs, n.attrs, n.vtype, n.extent))
+        return [new[root] for root in roots]
+
+    def surface(self, layer: int = 0, part: int = 0) -> Surface:
+        """What pixels see of a part in a layer, soft rim included. Raises InputError where there is no such layer or part."""
+        for what, k, count in (("layer", layer, len(self.fragments.layers)), ("part", part, len(self.parts.parts))):
+            if not 0 <= k < count:
+                raise InputError(f"{what} {k} of a frame that has {count}; 0 to {count - 1} are allowed")
+        if (layer, part) not in self._surfaces:
+            self._surfaces[layer, part] = Surface(self, layer, part)
+        return self._surfaces[layer, part]
+
+    def weights(self, layer: int) -> list[Node]:
+        """Barycentrics of a layer's points."""
+        if layer not in self._weights:
+            self._weights[layer] = self.fragments.barycentrics(self.fragments.layers[layer])
+        return self._weights[layer]
+
+    # ---- pictures
+
+    @cached_property
+    def alpha(self) -> Node:
+        """float: the silhouette, soft at outlines."""
+        return self._outline.silhouette()
+
+    @cached_property
+    def color(self) -> Node:
+        """vec3: the parts as their materials say, over the background."""
+        return self.composed([self._colored(k) for k in range(len(self.fragments.layers))])
+
+    def composed(self, layers: list[Node], background: Node | float | None = None) -> Node:
+        """Values of each layer as the renderer composes them, over the background."""
+        return self.fragments.color(layers, self.background if background is None else background)
+
+    def _colored(self, layer: int) -> Node:
+        """The colour of a layer; each part's is worked out in the tiles that show it."""
+        total = None
+        for k, part in enumerate(self.parts.parts):
+            s = self.surface(layer, k)
+            color = shaded(part.material, s, self._who(k))
+            color = near_faces(s.face_over_views, self.encode(color) if self.encode else color)
+            total = color if total is None else select(s.inside, color, total)
+        return total
+
+    @cached_property
+    def mask(self) -> Node:
+        """float: 1 where a part is in front at the pixel's centre, else 0."""
+        return to_float(self._outline.layers[0].hard)
+
+    def of(self, read: Callable[[Surface], Node], none: float = 0.0, layer: int = 0, soft: bool = False) -> Node:
+        """What `read` gives of the surfaces of a layer, each part's in its pixels, `none` where nothing is in front. soft: also beside
+        outlines, at the nearest points of what is beside."""
+        total = None
+        for k in range(len(self.parts.parts)):
+            s = self.surface(layer, k)
+            value = near_faces(s.face_over_views, read(s))
+            total = value if total is None else select(s.inside, value, total)
+        shown = self.fragments.layers[layer]
+        return select(shown.face >= 0 if soft else shown.hard, total, none)
+
+    @cached_property
+    def position(self) -> Node:
+        """vec3, in world space."""
+        return self.of(lambda s: s.position)
+
+    @cached_property
+    def normal(self) -> Node:
+        """vec3 of length 1, in world space; by each part's `normals`."""
+        return self.of(lambda s: s.normal)
+
+    @cached_property
+    def geometric_normal(self) -> Node:
+        """vec3 of length 1: of the faces."""
+        return self.of(lambda s: s.geometric_normal)
+
+    @cached_property
+    def camera_normal(self) -> Node:
+        """vec3 of length 1, in the camera's axes: x right, y up, z towards the eye."""
+        return self.of(lambda s: s.camera_normal)
+
+    @cached_property
+    def depth(self) -> Node:
+        """float: along the camera's axis."""
+        return self.of(lambda s: s.depth)
+
+    @cached_property
+    def distance(self) -> Node:
+        """float: from the eye, along the ray."""
+        return self.of(lambda s: s.distance)
+
+    @cached_property
+    def uv(self) -> Node:
+        """vec2: texture coordinates, v down."""
+        return self.of(lambda s: s.uv)
+
+    @cached_property
+    def barycentric(self) -> Node:
+        """vec3: of the face, its corners by ascending vertex index."""
+        return self.of(lambda s: s.barycentric)
+
+    @cached_property
+    def face(self) -> Node:
+        """int: the face as its part numbers it, of those with three different corners; -1 where there is none."""
+        return self._id(lambda k: self.surface(0, k).face)
+
+    @cached_property
+    def part(self) -> Node:
+        """int: the number of the part, in the order of adding; -1 where there is none."""
+        return self._id(lambda k: apply("broadcast", k, extent=self.atlas.extent))
+
+    def _id(self, number: Callable[[int], Node]) -> Node:
+        total = None
+        for k in range(len(self.parts.parts)):
+            total = number(k) if total is None else select(self.surface(0, k).inside, number(k), total)
+        return select(self.fragments.layers[0].hard, total, -1)
+
+    # ---- views
+
+    @cached_property
+    def view(self) -> Node:
+        """int: which view of the frame the pixel belongs to."""
+        return apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
+
+    def of_view(self, table: Node) -> Node:
+        """The entry of a table of the frame's views that belongs to the pixel."""
+        if table.extent == UNIT:
+            return table
+        a = self.atlas
+        corner = [(v % a.columns * a.width, v // a.columns * a.height) for v in range(a.views)]
+        return lookup(table, self.view, constant_table([(x, y, x + a.width, y + a.height) for x, y in corner]))
+
+    def at(self, image: Node) -> Node:
+        """Of an image over all views of the scene, the views of this frame: the image itself, or the cell of the chosen view."""
+        if self.chosen is None or not isinstance(image, Node) or image.extent == UNIT:
+            return image
+        if image.extent != self.all_views.extent:
+            raise InputError(f"{image!r} is no image over all views of the scene, which is {self.all_views.extent}")
+        columns, width, height = self.all_views.columns, self.atlas.width, self.atlas.height
+        corner = compose(apply("imod", self.chosen, columns) * width, apply("idiv", self.chosen, columns) * height)
+        own = apply("cell_position", extent=self.atlas.extent, cell_w=width, cell_h=height) + compose(width / 2, height / 2)
+        return apply("fetch", image, to_int(own) + corner)
+

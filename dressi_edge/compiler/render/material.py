@@ -1,0 +1,128 @@
+"""Materials: from what a pixel sees (`surface.Surface`) to the radiance that leaves it towards the eye, linear, a vec3.
+
+A material is anything that is called with a surface and gives a vec3. Ours are frozen records, so that results can be written with
+them; one of your own may as well be a function of three lines.
+
+Each setting of a material is a source: a number, three numbers, a node of extent 1x1 (a parameter), or anything that is called with the
+surface and gives a node, such as `Texture(image)` and `Vertex(table)`.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ...cache.errors import GraphError, InputError
+from ..graph.functions import apply, compose, dot, maximum, normalize, select
+from ..graph.ir import UNIT, Node
+from .light import Light, diffuse
+from .surface import Surface
+
+Source = float | tuple | Node | Callable[[Surface], Node]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A source: the bilinear sample of an image of 1 to 4 channels (`texture.sample_texture` has wrap and gradient) at the surface's
+    texture coordinates, or at `uv`, a source of its own."""
+
+    image: Node
+    wrap: str = "repeat"
+    gradient: str = "exact"
+    uv: Source | None = None
+
+    def __call__(self, s: Surface) -> Node:
+        return s.texture(self.image, None if self.uv is None else evaluate(self.uv, s), self.wrap, self.gradient)
+
+
+@dataclass(frozen=True)
+class Vertex:
+    """A source: an attribute of the part's vertices, a float or vec table of as many entries."""
+
+    table: Node
+
+    def __call__(self, s: Surface) -> Node:
+        return s.vertex(self.table)
+
+
+def evaluate(source: Source, surface: Surface) -> Node | float:
+    """A source at a surface. Raises InputError."""
+    if callable(source):
+        return source(surface)
+    if isinstance(source, (Node, int, float)):
+        return source
+    if isinstance(source, (tuple, list)) and len(source) == 3:
+        return compose(*map(float, source))
+    raise InputError(f"{source!r:.60} is no source of a material; a number, three numbers, a node or a function of the surface is needed")
+
+
+def _check_lights(lights: Sequence[Light]) -> None:
+    if not isinstance(lights, (tuple, list)) or not lights or not all(isinstance(light, Light) for light in lights):
+        raise InputError(f"lights are {lights!r:.60}; a sequence of at least one Light is needed")
+
+
+@dataclass(frozen=True)
+class Unlit:
+    """The colour itself."""
+
+    color: Source = 0.5
+
+    def __call__(self, s: Surface) -> Node:
+        c = evaluate(self.color, s)
+        return c if isinstance(c, Node) and c.channels == 3 else compose(c, c, c)
+
+
+@dataclass(frozen=True)
+class Lambert:
+    """A diffuse surface: color (E / pi max(n.l, 0) + ambient), summed over the lights. A point light of intensity I at distance d gives
+    E = I / d^2."""
+
+    color: Source
+    lights: Sequence[Light]
+
+    def __post_init__(self) -> None:
+        _check_lights(self.lights)
+
+    def __call__(self, s: Surface) -> Node:
+        albedo, normal = evaluate(self.color, s), s.normal
+        position = s.position if any(light.kind == "point" for light in self.lights) else normal
+        return albedo * diffuse(normal, position, self.lights)
+
+
+@dataclass(frozen=True)
+class BlinnPhong:
+    """Lambert, and where a light is in front specular E max(n.h, 0)^gloss, h half way between light and eye (Blinn 1977). gloss > 0."""
+
+    color: Source
+    specular: Source
+    gloss: Source
+    lights: Sequence[Light]
+
+    def __post_init__(self) -> None:
+        _check_lights(self.lights)
+
+    def __call__(self, s: Surface) -> Node:
+        n, gloss, shine = normalize(s.normal), evaluate(self.gloss, s), None
+        for light in self.lights:
+            if light.kind == "ambient":
+                continue
+            power, to_light, squared = light.arriving(s.position)
+            height = maximum(dot(n, normalize(to_light + s.to_eye)), 0.0)
+            term = power * (select(dot(n, to_light) > 0.0, apply("pow", height, gloss), 0.0) / squared)
+            shine = term if shine is None else shine + term
+        body = evaluate(self.color, s) * diffuse(n, s.position, self.lights)
+        return body if shine is None else body + evaluate(self.specular, s) * shine
+
+
+def shaded(material: Callable[[Surface], Node], surface: Surface, who: str) -> Node:
+    """The material at the surface, a float vec3 over its pixels or of extent 1x1. Raises GraphError, InputError, with `who` in front."""
+    try:
+        color = material(surface)
+    except (GraphError, InputError) as error:
+        raise type(error)(f"{who}: {error}") from None
+    except AttributeError as error:
+        raise InputError(f"{who} reads what a surface does not have: {error}") from error
+    if not isinstance(color, Node) or color.vtype != "vec3":
+        raise GraphError(f"{who} gives {color!r:.60}; a vec3 of linear radiance is needed")
+    if color.extent not in (UNIT, surface.inside.extent):
+        raise GraphError(f"{who} gives {color!r} over {color.extent}; {surface.inside.extent} is needed")
+    return color

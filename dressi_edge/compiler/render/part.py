@@ -1,0 +1,90 @@
+"""Parts of a scene: a mesh with vertices of its own and a material. All parts are drawn together.
+
+In: parts. Out: one topology, clip coordinates of all vertices, and which faces are whose (`Span`). Of a part that nothing moves all
+tables are computed once (the reactive cache), for they are made part by part and joined last.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ..graph.ir import Node
+from ..graph.ops.join import join
+from ..io.meshes import Mesh
+from .camera import ViewTable, to_clip
+from .raster import Span
+from .topology import Topology
+
+NORMALS = ("smooth", "flat", "file")
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """positions: a vec3 table of as many vertices as the mesh has. material: surface -> vec3 (`material.py`). normals: "smooth" (of the
+    vertices as they are now), "flat" (of the faces as they are now) or "file" (the mesh's own, which do not turn with it).
+    Raises InputError."""
+
+    name: str
+    mesh: Mesh
+    positions: Node
+    material: Callable
+    normals: str = "smooth"
+
+    def __post_init__(self) -> None:
+        if self.normals not in NORMALS:
+            raise InputError(f"part {self.name}: normals are {self.normals!r:.40}; allowed: {' '.join(NORMALS)}")
+        if self.normals == "file" and getattr(self.mesh, "normals", None) is None:
+            raise InputError(f"part {self.name}: its mesh has no normals of its own; use smooth or flat")
+        p, count = self.positions, len(self.mesh.positions)
+        if not isinstance(p, Node) or p.vtype != "vec3" or p.extent.count != count:
+            found = f"{p!r} of {p.extent.count} entries" if isinstance(p, Node) else f"{p!r:.60}"
+            raise InputError(f"part {self.name}: its positions are {found}; a vec3 table of the mesh's {count} vertices is needed")
+        if not callable(self.material):
+            raise InputError(f"part {self.name}: its material is {self.material!r:.60}; a function surface -> vec3 is needed")
+
+    @cached_property
+    def topology(self) -> Topology:
+        return Topology(np.asarray(self.mesh.faces), len(self.mesh.positions))
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """All parts of a scene, in the order in which they were added."""
+
+    parts: Sequence[Part]
+
+    @cached_property
+    def topology(self) -> Topology:
+        """Of all faces that have three different corners, part after part."""
+        if len(self.parts) == 1:
+            return self.parts[0].topology
+        faces = [part.topology.faces + first for part, first in zip(self.parts, self.first_vertex)]
+        return Topology(np.concatenate(faces), self.vertex_count)
+
+    @property
+    def vertex_count(self) -> int:
+        return sum(len(part.mesh.positions) for part in self.parts)
+
+    @property
+    def first_vertex(self) -> list[int]:
+        return list(np.cumsum([0, *(len(part.mesh.positions) for part in self.parts)])[:-1])
+
+    @cached_property
+    def first_face(self) -> list[int]:
+        return [int(k) for k in np.cumsum([0, *(len(part.topology.faces) for part in self.parts)])[:-1]]
+
+    def span(self, k: int) -> Span | None:
+        """The faces of part k; None where it is the only one."""
+        return None if len(self.parts) == 1 else Span(self.parts[k].topology, self.first_face[k])
+
+    def clip(self, views: ViewTable) -> Node:
+        """Clip coordinates of all vertices, a view-major table."""
+        joined = None
+        for part in self.parts:
+            clip = to_clip(part.positions, views)
+            joined = clip if joined is None else join(joined, clip, views.count)
+        return joined

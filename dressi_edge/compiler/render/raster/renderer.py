@@ -1,0 +1,76 @@
+"""Renderers: how what the cameras see becomes layers of fragments, and how layers compose."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ...graph.ir import Node
+from ..atlas import Atlas
+from ..topology import Topology
+from .fragments import Fragments
+from .layers import PeeledFragments
+from .outline import OutlineFragments
+from .softness import Softness
+
+
+class Renderer(Protocol):
+    """What a scene draws with. One of your own has this method."""
+
+    def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> Fragments:
+        """clip: coordinates of views x vertices (docs/conventions.md), of all parts together; near: the smallest w in front of the
+        cameras; faces: whether it matters which face a pixel shows, and not only whether there is one."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """One layer; alpha by the distance to the nearest fold or boundary edge beside which there is nothing. r: how far from it the
+    picture is soft, sigma: the width of the fade; both in pixels, sigma r / 7 unless given. Raises InputError."""
+
+    r: float = 2.0
+    sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        self.softness  # noqa: B018  (checks the numbers)
+
+    @property
+    def softness(self) -> Softness:
+        return Softness(self.r, self.sigma, distance="outline")
+
+    def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> OutlineFragments:
+        """See `Renderer.draw`."""
+        return OutlineFragments(clip, topology, atlas, self.softness, near, faces)
+
+
+@dataclass(frozen=True)
+class HardSoftRas:
+    """The paper's (3.4): `layers` depth peels of faces enlarged by r, alpha by the distance to the edges of each. delta: half width of the
+    edge mask, r unless given; all in pixels. Raises InputError."""
+
+    r: float = 2.0
+    layers: int = 1
+    sigma: float | None = None
+    delta: float | None = None
+
+    def __post_init__(self) -> None:
+        self.softness  # noqa: B018  (checks the numbers)
+
+    @property
+    def softness(self) -> Softness:
+        return Softness(self.r, self.sigma, self.delta, self.layers, "face")
+
+    def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> PeeledFragments:
+        """See `Renderer.draw`."""
+        return PeeledFragments(clip, topology, atlas, self.softness, near, faces)
+
+
+def renderer_of(softness: Softness) -> Outline | HardSoftRas:
+    """The renderer that these settings mean."""
+    if softness.distance == "outline":
+        return Outline(softness.r, softness.sigma)
+    return HardSoftRas(softness.r, softness.layers, softness.sigma, softness.delta)
+
+
+def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True) -> Fragments:
+    """A mesh drawn as `softness` says; see `Renderer.draw`. Without `faces` only silhouettes are asked for: layers have no `face`, and
+    half of a closed surface is drawn (`graph/ops/raster.py`)."""
+    return renderer_of(softness).draw(clip, topology, atlas, near, faces)

@@ -1,0 +1,151 @@
+"""What a pixel sees of one part in one layer: position, normal, texture coordinates and the like, each computed only if it is read.
+
+Values are those at the layer's point: the pixel's centre where the face covers it, the nearest point of the face where it only comes near
+(paper 3.4; docs/conventions.md). Pixels that see something else have values of no meaning; `inside` says where they mean something.
+"""
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ..graph.functions import apply, compose, constant_table, dot, lookup, maximum, normalize, sqrt
+from ..graph.ir import Node
+from .normals import unit_face_normals, vertex_normals
+from .texture import sample_texture
+
+if TYPE_CHECKING:
+    from .frame import Frame
+    from .part import Part
+
+
+class Surface:
+    """In a material: `s.position`, `s.normal`, ... are vec3 in world space unless they say otherwise, over all pixels of the frame.
+    number: the layer, 0 in front; index: which part."""
+
+    def __init__(self, frame: Frame, number: int, index: int):
+        self.frame, self.number, self.index = frame, number, index
+        self.part: Part = frame.parts.parts[index]
+        self._layer, self._span = frame.fragments.layers[number], frame.parts.span(index)
+
+    @cached_property
+    def face(self) -> Node:
+        """The face as its part numbers it, an int; -1 where the layer shows none of this part."""
+        return self.frame.fragments.face_in_view(self._layer, self._span)
+
+    @cached_property
+    def inside(self) -> Node:
+        """1 where the layer's face is one of this part, soft rim included, else 0."""
+        return self.face_over_views >= 0
+
+    @cached_property
+    def face_over_views(self) -> Node:
+        """The face as tables of views x faces of this part have it; -1 where there is none."""
+        return self.frame.fragments.face_over_views(self._layer, self._span)
+
+    @cached_property
+    def barycentric(self) -> Node:
+        """vec3: the weights of the face's corners, by ascending vertex index; in perspective."""
+        return compose(*self.frame.weights(self.number))
+
+    @cached_property
+    def position(self) -> Node:
+        return self.vertex(self.part.positions)
+
+    @cached_property
+    def normal(self) -> Node:
+        """Of length 1, on the side from which faces are seen anticlockwise; by the part's `normals`."""
+        part = self.part
+        if part.normals == "flat":
+            return self.geometric_normal
+        if part.normals == "file":
+            return normalize(self.corner(np.asarray(part.mesh.normals)[part.mesh.normal_faces]))
+        return normalize(self.vertex(vertex_normals(part.positions, part.topology)))
+
+    @cached_property
+    def geometric_normal(self) -> Node:
+        """The face's own, of length 1."""
+        faces, views = self.part.topology.faces, self.frame.views.count
+        normals = unit_face_normals(self.part.positions, faces)
+        if views > 1:
+            normals = lookup(normals, np.tile(np.arange(len(faces)), views))
+        return self.frame.fragments.of_face(self._layer, normals, self._span)
+
+    @cached_property
+    def uv(self) -> Node:
+        """vec2: texture coordinates, v down. Raises InputError where the mesh has none."""
+        mesh = self.part.mesh
+        if mesh.uvs is None:
+            raise InputError(f"part {self.part.name}: its mesh has no texture coordinates, and its material reads them")
+        return self.corner(np.asarray(mesh.uvs)[mesh.uv_faces])
+
+    @cached_property
+    def view(self) -> Node:
+        """Which of the frame's views the pixel belongs to, an int."""
+        return self.frame.view
+
+    @cached_property
+    def eye(self) -> Node:
+        """The centre of the pixel's camera."""
+        return self.frame.of_view(self.frame.views.position())
+
+    @cached_property
+    def to_eye(self) -> Node:
+        """The direction from the surface to the eye, of length 1."""
+        return normalize(self.eye - self.position)
+
+    @cached_property
+    def distance(self) -> Node:
+        """From the eye, along the ray."""
+        d = self.eye - self.position
+        return sqrt(maximum(dot(d, d), 1e-30))
+
+    @cached_property
+    def depth(self) -> Node:
+        """From the eye, along the camera's axis."""
+        row = self.frame.of_view(self.frame.views.rows[2])
+        return -(dot(row.xyz, self.position) + row.w)
+
+    @cached_property
+    def camera_normal(self) -> Node:
+        """The normal in the camera's own axes: x right, y up, z towards the eye."""
+        rows = [self.frame.of_view(row) for row in self.frame.views.rows]
+        return compose(*(dot(row.xyz, self.normal) for row in rows))
+
+    @property
+    def step(self) -> Node | None:
+        """The step of the phase that the frame belongs to, an int of extent 1x1; None where it belongs to none."""
+        return self.frame.step
+
+    def vertex(self, table: Node) -> Node:
+        """An attribute of the part's vertices: a float or vec table of as many entries. Raises InputError."""
+        count = len(self.part.mesh.positions)
+        if not isinstance(table, Node) or table.extent.count != count:
+            raise InputError(f"part {self.part.name}: a vertex attribute is {table!r:.60}; a table of its {count} vertices is needed")
+        return self.frame.fragments.interpolate(self._layer, table, self.frame.weights(self.number), self._span)
+
+    def corner(self, values: np.ndarray) -> Node:
+        """A constant attribute of the faces' corners, (F, 3, c) for all faces of the mesh. Raises InputError."""
+        values, count = np.asarray(values, float), len(self.part.mesh.faces)
+        if values.ndim != 3 or values.shape[:2] != (count, 3) or not 1 <= values.shape[2] <= 4:
+            raise InputError(f"part {self.part.name}: an attribute of corners has shape {values.shape}; ({count}, 3, 1 to 4) is needed")
+        return self.frame.fragments.interpolate_constant(self._layer, values, self.frame.weights(self.number), self._span)
+
+    def per_face(self, values: np.ndarray) -> Node:
+        """A constant of each face, (F, c) for all faces of the mesh. Raises InputError."""
+        values, count = np.asarray(values, float), len(self.part.mesh.faces)
+        if values.ndim != 2 or len(values) != count:
+            raise InputError(f"part {self.part.name}: an attribute of faces has shape {values.shape}; ({count}, 1 to 4) is needed")
+        return lookup(constant_table(values[self.part.topology.kept]), self.face)
+
+    def texture(self, image: Node, uv: Node | None = None, wrap: str = "repeat", gradient: str = "exact") -> Node:
+        """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; see `texture.sample_texture`."""
+        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step)
+
+    def pixel(self) -> Node:
+        """vec2: the pixel's centre in its picture, from the upper left corner."""
+        atlas = self.frame.atlas
+        at = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
+        return at + compose(atlas.width / 2, atlas.height / 2)
