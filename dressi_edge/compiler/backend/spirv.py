@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 from ...cache.errors import DressiError
+from . import spirv_cache
 
 _compiled: dict[tuple[str, str], bytes] = {}
 
@@ -25,14 +26,18 @@ def _tool(name: str) -> str:
     return path
 
 
+def _commands(source: str, out: str) -> list[list[str]]:
+    return [[_tool("glslangValidator"), "-V", "--target-env", "vulkan1.0", "-g0", "-o", out, source],
+            [_tool("spirv-val"), "--target-env", "vulkan1.0", out]]
+
+
 def _compile(job: tuple[str, str]) -> bytes:
     stage, text = job
     with tempfile.TemporaryDirectory() as folder:
         source, out = os.path.join(folder, f"s.{stage}"), os.path.join(folder, "s.spv")
         with open(source, "w") as f:
             f.write(text)
-        for command in ([_tool("glslangValidator"), "-V", "--target-env", "vulkan1.0", "-g0", "-o", out, source],
-                        [_tool("spirv-val"), "--target-env", "vulkan1.0", out]):
+        for command in _commands(source, out):
             done = subprocess.run(command, capture_output=True, text=True)
             if done.returncode:
                 numbered = "\n".join(f"{k + 1:4} {line}" for k, line in enumerate(text.splitlines()))
@@ -42,9 +47,20 @@ def _compile(job: tuple[str, str]) -> bytes:
 
 
 def compile_all(jobs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], bytes]:
-    """SPIR-V for each (stage "vert" or "frag", GLSL text)."""
+    """SPIR-V for each (stage "vert" or "frag", GLSL text). What a process before this one compiled is taken from the disk
+    (`spirv_cache.py`). Raises ShaderError."""
     jobs = list(dict.fromkeys(jobs))
     missing = [job for job in jobs if job not in _compiled]
+    folder = spirv_cache.folder() if missing else None
+    names = {}
+    if folder:
+        tools = {name: _tool(name) for name in ("glslangValidator", "spirv-val")}
+        options = " ".join(word for command in _commands("s", "o") for word in command[1:])
+        names = {job: spirv_cache.key(tools, options, *job) for job in missing}
+        _compiled.update({job: code for job, name in names.items() if (code := spirv_cache.load(folder, name))})
+        missing = [job for job in missing if job not in _compiled]
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         _compiled.update(zip(missing, pool.map(_compile, missing)))
+    if folder and missing:
+        spirv_cache.store(folder, {names[job]: _compiled[job] for job in missing})
     return {job: _compiled[job] for job in jobs}
