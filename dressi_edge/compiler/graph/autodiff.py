@@ -4,7 +4,7 @@ Rows of the op table say how a gradient passes each op; broadcasting is undone h
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from ...cache.errors import GraphError
 from .ir import UNIT, Node, is_int, topological
@@ -36,10 +36,10 @@ def gradients(loss: Node, wrt: Sequence[Node]) -> list[Node]:
     """
     if loss.vtype != "float" or loss.extent != UNIT:
         raise GraphError(f"the loss {loss!r} is not a 1x1 float; reduce it with total() or mean()")
-    order = topological([loss])
+    order, asked = topological([loss]), set(wrt)
     needed: set[Node] = set()
     for node in order:
-        if node in wrt or (not is_int(node.vtype) and any(x in needed for x in node.inputs)):
+        if node in asked or (not is_int(node.vtype) and any(x in needed for x in node.inputs)):
             needed.add(node)
     pending: dict[Node, list[Node]] = {loss: [apply("literal", value=1.0)]}
     done: dict[Node, Node] = {}
@@ -48,12 +48,12 @@ def gradients(loss: Node, wrt: Sequence[Node]) -> list[Node]:
         if y not in needed or not terms:
             continue
         g = _sum_pairwise(terms)
-        if y in wrt:
+        if y in asked:
             done[y] = _widen(g, y)
         if not any(x in needed for x in y.inputs):
             continue
         if y.op.vjp is None:
-            raise GraphError(f"{y.op.name} has no gradient, and the loss depends on {_culprit(y, wrt).name} through it; "
+            raise GraphError(f"{y.op.name} has no gradient, and the loss depends on {_culprit(y, asked).name} through it; "
                              "cut the path with stop_gradient")
         for x, gx in zip(y.inputs, y.op.vjp(_widen(g, y), y, *y.inputs, **y.attrs)):
             if x in needed and gx is not None:
@@ -67,5 +67,5 @@ def _sum_pairwise(terms: list[Node]) -> Node:
     return terms[0]
 
 
-def _culprit(y: Node, wrt: Sequence[Node]) -> Node:
+def _culprit(y: Node, wrt: Collection[Node]) -> Node:
     return next((node for node in topological([y]) if node in wrt), y)

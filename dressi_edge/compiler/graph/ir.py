@@ -6,6 +6,7 @@ so duplicates never exist. A node has a value type (`float`, `vec2..4`, `int`, `
 from __future__ import annotations
 
 import hashlib
+import math
 import weakref
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -86,10 +87,38 @@ class Data:
         return f"data{self.array.shape}"
 
 
+def _refused(what: str, instead: str):
+    def refuse(self, *_):
+        raise GraphError(f"{self!r} {what}: it is a graph value, known on the device alone; {instead}")
+    return refuse
+
+
 class Node:
-    """One value of the graph. Never made directly: `optable.apply` does."""
+    """One value of the graph. Never made directly: `optable.apply` does.
+
+    Nodes are told apart by identity, and hash by it: equal arguments give the very same node. What Python would ask of a value that is
+    not there yet (truth, equality, length, items, a number) raises GraphError and says what to write instead."""
 
     __slots__ = ("op", "inputs", "attrs", "vtype", "extent", "serial", "__weakref__")
+    __array_ufunc__ = None  # NumPy's numbers leave arithmetic with nodes to the node
+
+    def __bool__(self) -> bool:
+        return True
+
+    __len__ = _refused("has no length", "its extent.count says how many entries there are, channels how many numbers each")
+    __iter__ = _refused("cannot be run through", "channels(node) gives its channels, slice_table(node, start, count) entries of a table")
+    __contains__ = _refused("contains nothing that Python can see", "use equal(node, value)")
+    __array__ = _refused("is no array", "get() of a session, or evaluate() of the reference, gives its numbers")
+    __float__ = __int__ = __index__ = _refused("is no number", "to_float and to_int convert it on the device")
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
+        if isinstance(other, int | float | np.generic | np.ndarray):
+            raise GraphError(f"{self!r} == {other!r:.60}: a graph value is known on the device alone; equal(a, b) is 1 where they are "
+                             "equal, `a is b` tells whether they are one node")
+        return NotImplemented
 
     def __init__(self, op, inputs: tuple[Node, ...], attrs: dict, vtype: str, extent: Extent, serial: int):
         self.op, self.inputs, self.attrs, self.vtype, self.extent, self.serial = op, inputs, attrs, vtype, extent, serial
@@ -116,10 +145,17 @@ _interned: weakref.WeakValueDictionary = weakref.WeakValueDictionary()
 _serial = 0
 
 
+def _exact(value):
+    """An attribute as a key: 0.0 and -0.0 are two."""
+    if isinstance(value, tuple):
+        return tuple(map(_exact, value))
+    return (value, math.copysign(1.0, value)) if isinstance(value, float) else value
+
+
 def intern(op, inputs: tuple[Node, ...], attrs: dict, vtype: str, extent: Extent) -> Node:
     """The one node with these fields."""
     global _serial
-    key = (op.name, tuple(map(id, inputs)), tuple(sorted(attrs.items())), vtype, extent)
+    key = (op.name, tuple(map(id, inputs)), tuple((k, _exact(attrs[k])) for k in sorted(attrs)), vtype, extent)
     node = _interned.get(key)
     if node is None:
         _serial += 1

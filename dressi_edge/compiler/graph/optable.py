@@ -14,12 +14,17 @@ raster op's `Draw.count`, or the number of a list's entries (`ops/compact.py`).
 """
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
+
+import numpy as np
 
 from ...cache.errors import GraphError
-from .ir import UNIT, Extent, Node, intern, is_int, vector_type
+from .ir import UNIT, Data, Extent, Node, image, intern, is_int, vector_type
 
 OWN, TEXEL, FILTERED, VERTEX, TILE, COUNT = "own", "texel", "filtered", "vertex", "tile", "count"
 
@@ -71,6 +76,8 @@ class Op:
     vjp: Callable | None
     glsl: str | Callable = ""
     reads: tuple[str, ...] = ()
+    attrs: tuple[str, ...] = ()  # attributes that must be given
+    optional: tuple[str, ...] = ()  # and that may be
     stage: str = "pixel"
     loop: Loop | None = None
     draws: tuple[Draw, ...] = ()
@@ -85,6 +92,7 @@ class Op:
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
     covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none
+    alike: tuple[tuple[int, int], ...] = ()  # (input, other): read at places of the other, so of its extent; 1 x 1 is broadcast to it
     size: Callable | None = None  # (node, sizes of its inputs) -> log2 of its usual magnitude; None: that of the largest float
     sample: Callable | None = field(default=None, compare=False)
     doc: str = ""
@@ -93,20 +101,77 @@ class Op:
         """How input k is read."""
         return self.reads[k] if k < len(self.reads) else OWN
 
+    def __call__(self, *inputs, **attrs) -> Node:
+        """The node of this op: `apply`."""
+        return apply(self.name, *inputs, **attrs)
+
     def __hash__(self) -> int:
         return hash(self.name)
 
 
 OPS: dict[str, Op] = {}
+MODES = (OWN, TEXEL, FILTERED, VERTEX, TILE, COUNT)
+_MARK = re.compile(r"\{(\w+)\}")
 
 
-def op(name: str, params: str, *, infer: Callable, ref: Callable, vjp: Callable | None = None, reads: str = "", **facts) -> Op:
-    """Add a row. `params` and `reads` are words; reads default to the own texel."""
+def op(name: str, params: str | None = None, *, infer: Callable | None = None, ref: Callable | None = None, vjp: Callable | None = None,
+       reads: str = "", attrs: str | None = None, **facts) -> Op:
+    """Add a row to the table; what it returns makes nodes: `fade = op("fade", ...)`, then `fade(x)`.
+
+    params: the inputs' names, in words; by default those of the reference's positional parameters. infer(name, inputs, attrs) -> (type,
+    extent), by default `elementwise`. ref: NumPy, arrays (height, width, channels) in and out, attributes by keyword. vjp(g, y, *inputs,
+    **attrs) -> a gradient for each input, or None; with no vjp a gradient through the op is refused. glsl: the snippet, see the module's
+    text. reads: how each input is read, in words, by default at the own texel. attrs: attributes in words, those that may be left out end
+    in "?"; by default the reference's other parameters. The other facts are fields of `Op`. `check.check_op` tests a row. Raises
+    GraphError where a word is not known."""
     if name in OPS:
         raise GraphError(f"op {name} is declared twice")
-    words = tuple(params.split())
-    OPS[name] = Op(name, words, infer, ref, vjp, reads=tuple(reads.split()) or (OWN,) * len(words), **facts)
-    return OPS[name]
+    if not re.fullmatch(r"[A-Za-z]\w*", name):
+        raise GraphError(f"op {name!r:.60}: a name is made of letters, digits and _")
+    if unknown := [key for key in facts if key not in Op.__dataclass_fields__]:
+        raise GraphError(f"op {name}: {unknown[0]} is no fact{_nearest(unknown[0], Op.__dataclass_fields__)}")
+    words = tuple(params.split()) if params is not None else _positional(name, ref)
+    modes = tuple(reads.split()) or (OWN,) * len(words)
+    if len(modes) != len(words) or not set(modes) <= set(MODES):
+        raise GraphError(f"op {name}: reads {' '.join(modes)!r} of inputs {' '.join(words)!r}; one of {' '.join(MODES)} for each is needed")
+    must, may = _attributes(words, ref) if attrs is None else _split_words(attrs)
+    row = Op(name, words, infer or elementwise, ref, vjp, reads=modes, attrs=must, optional=may, **facts)
+    if isinstance(row.glsl, str):
+        known = {*"y w h n type i p snap".split(), *must, *may, *(p + end for p in words for end in ("", "_at", "_w", "_h", "_n"))}
+        if unknown := [mark for mark in _MARK.findall(row.glsl) if mark not in known]:
+            raise GraphError(f"op {name}: {{{unknown[0]}}} in its GLSL is neither an input nor an attribute nor a mark"
+                             + _nearest(unknown[0], known))
+    OPS[name] = row
+    return row
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    found = get_close_matches(str(word), list(known), 1)
+    return f"; did you mean {found[0]}?" if found else ""
+
+
+def _parameters(ref: Callable | None) -> list[inspect.Parameter]:
+    return [] if ref is None or isinstance(ref, np.ufunc) else list(inspect.signature(ref).parameters.values())
+
+
+def _positional(name: str, ref: Callable | None) -> tuple[str, ...]:
+    found = tuple(p.name for p in _parameters(ref) if p.kind is p.POSITIONAL_OR_KEYWORD and p.default is p.empty)
+    if not found:
+        raise GraphError(f"op {name}: its inputs are not named; give params, or a reference whose parameters are the inputs")
+    return found
+
+
+def _attributes(params: tuple[str, ...], ref: Callable | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What the reference takes beside the inputs: without and with a default."""
+    own = [p for p in _parameters(ref) if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    positional = [p for p in own if p.kind is p.POSITIONAL_OR_KEYWORD]
+    own = [p for p in own if p not in positional[:len(params)]]
+    return tuple(p.name for p in own if p.default is p.empty), tuple(p.name for p in own if p.default is not p.empty)
+
+
+def _split_words(attrs: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    words = attrs.split()
+    return tuple(w for w in words if w[-1] != "?"), tuple(w[:-1] for w in words if w[-1] == "?")
 
 
 def common_extent(name: str, inputs: tuple[Node, ...]) -> Extent:
@@ -166,47 +231,82 @@ def unit(node: Node, sizes: Sequence[float]) -> float:
 
 
 def as_node(x) -> Node:
-    """A node, or a Python number as a literal."""
+    """A node, or a Python or NumPy number as a literal. Raises GraphError."""
     if isinstance(x, Node):
         return x
-    if isinstance(x, bool) or not isinstance(x, (int, float)):
-        try:
-            x = float(x)
-        except (TypeError, ValueError):
-            raise GraphError(f"{x!r} is neither a graph value nor a number; wrap arrays with constant()") from None
-    return apply("literal", value=x)
+    if isinstance(x, np.ndarray) and x.ndim == 0:
+        x = x[()]
+    if isinstance(x, int | float | np.number | np.bool_):
+        return apply("literal", value=int(x) if isinstance(x, int | np.integer) and not isinstance(x, bool) else float(x))
+    raise GraphError(f"{type(x).__name__} {' '.join(repr(x).split()):.60} is neither a graph value nor a number; wrap arrays with "
+                     "constant() or constant_table()")
+
+
+def _number(x, like_int: bool):
+    """A whole number beside floats is a float."""
+    if like_int or isinstance(x, bool) or not isinstance(x, int | np.integer):
+        return x
+    try:
+        return float(x)
+    except OverflowError:
+        raise GraphError("a whole number beyond the range of fp32; numbers that are finite in fp32 are allowed") from None
+
+
+def stored(row: Op, inputs: Sequence[Node]) -> tuple[Node, ...]:
+    """The inputs, literals that are read otherwise than at the own texel as 1x1 images: there is no other place to read them from."""
+    return tuple(x if x.op.name != "literal" or row.read(k) == OWN else
+                 intern(OPS["constant"], (), {"data": Data(x.op.ref(x.attrs["value"])), "vtype": x.vtype, "extent": UNIT}, x.vtype, UNIT)
+                 for k, x in enumerate(inputs))
+
+
+def _placed(row: Op, inputs: tuple[Node, ...]) -> tuple[Node, ...]:
+    """The inputs, with those that must lie as another does (`Op.alike`) broadcast to it."""
+    inputs = list(inputs)
+    for k, other in row.alike:
+        x, extent = inputs[k], inputs[other].extent
+        if x.extent != extent:
+            if x.extent != UNIT:
+                raise GraphError(f"{row.name}: {row.params[k]} {x!r} has another extent than {row.params[other]} {inputs[other]!r}; equal "
+                                 "ones or 1x1 are allowed")
+            inputs[k] = apply("broadcast", x, extent=extent)
+    return tuple(inputs)
+
+
+def _check_places(row: Op, inputs: tuple[Node, ...], attrs: dict, extent: Extent) -> None:
+    """What is read at the own texel must have it, what is read by tile a texel for each tile."""
+    for k, x in enumerate(inputs):
+        mode = row.read(k)
+        if mode == OWN and x.extent not in (UNIT, extent):
+            raise GraphError(f"{row.name}: {row.params[k]} {x!r} does not lie as the result, {extent}; that extent or 1x1 is allowed")
+        if mode == TILE:
+            width, height = attrs["tile"]
+            tiles = image(-(-extent.width // width), -(-extent.height // height))
+            if x.extent != tiles:
+                raise GraphError(f"{row.name}: {row.params[k]} {x!r} is not one texel for each {width} x {height} of the result, "
+                                 f"{extent}: {tiles} is needed")
 
 
 def apply(name: str, /, *inputs, **attrs) -> Node:
-    """Make (or find) the node of op `name`. Numbers become literals, typed like their neighbours. Raises GraphError."""
-    row = OPS[name]
+    """Make (or find) the node of op `name`. Numbers become literals, typed like their neighbours. Raises GraphError where the op or an
+    attribute is not known or missing, and where inputs do not fit in number, type or extent."""
+    row = OPS.get(name)
+    if row is None:
+        raise GraphError(f"there is no op {name!r:.60}{_nearest(name, OPS)}")
     like_int = all(is_int(x.vtype) for x in inputs if isinstance(x, Node)) and any(isinstance(x, Node) for x in inputs)
-    nodes = tuple(as_node(float(x) if isinstance(x, int) and not like_int else x) for x in inputs)
+    nodes = tuple(as_node(_number(x, like_int)) for x in inputs)
     if len(nodes) != len(row.params):
         raise GraphError(f"{name} takes {len(row.params)} inputs ({' '.join(row.params)}), got {len(nodes)}")
+    for key in attrs:
+        if key not in row.attrs and key not in row.optional:
+            raise GraphError(f"{name}: {key} is no attribute of it; it has {' '.join(row.attrs + row.optional) or 'none'}"
+                             + _nearest(key, row.attrs + row.optional))
+    if missing := [key for key in row.attrs if key not in attrs]:
+        raise GraphError(f"{name}: {' '.join(missing)} must be given")
+    nodes = _placed(row, stored(row, nodes))
     vtype, extent = row.infer(name, nodes, attrs)
-    return intern(row, nodes, attrs, vtype, extent)
-
-
-def _operators() -> None:
-    def binary(name):
-        return lambda a, b: apply(name, a, b)
-
-    def swapped(name):
-        return lambda a, b: apply(name, b, a)
-
-    for method, name in (("add", "add"), ("sub", "sub"), ("mul", "mul"), ("truediv", "div")):
-        setattr(Node, f"__{method}__", binary(name))
-        setattr(Node, f"__r{method}__", swapped(name))
-    for method, name in (("lt", "less"), ("le", "less_equal"), ("gt", "greater"), ("ge", "greater_equal")):
-        setattr(Node, f"__{method}__", binary(name))
-    Node.__neg__ = lambda a: apply("neg", a)
-
-    def channel(names):
-        return property(lambda a: apply("swizzle", a, channels=names))
-
-    for names in ("x", "y", "z", "w", "xy", "xz", "yz", "zw", "xyz", "xyw"):
-        setattr(Node, names, channel(names))
-
-
-_operators()
+    _check_places(row, nodes, attrs, extent)
+    try:
+        return intern(row, nodes, attrs, vtype, extent)
+    except TypeError:
+        raise GraphError(f"{name}: attributes are numbers, words, extents or tuples of them, got "
+                         f"{', '.join(f'{k} of type {type(v).__name__}' for k, v in attrs.items())}") from None

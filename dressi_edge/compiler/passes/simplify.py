@@ -1,7 +1,8 @@
 """Rewrite a graph to a smaller equal one, and lower composites.
 
 `lower` replaces ops that no single shader can do (`sum`) by passes. `simplify` folds literals and applies the identities of RULES;
-all rows are exact on finite values: the reference gives the same bits before and after.
+all rows are exact on finite values: the reference gives the same numbers before and after. The sign of a zero may change, and a product
+with a literal 0 is 0 also where the other factor is infinite or NaN.
 """
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ import numpy as np
 from ...cache.layout import beyond_fp32
 from ..graph.ir import CHANNELS, UNIT, Node, intern, is_int, rebuild
 from ..graph.ops.reduce import lower_sum
-from ..graph.optable import apply
+from ..graph.optable import apply, stored
 
 
 def _value(node: Node) -> float | int | None:
@@ -31,6 +32,10 @@ def _as(x: Node, like: Node) -> Node | None:
     return x if (x.vtype, x.extent) == (like.vtype, like.extent) else None
 
 
+def _first(a: Node | None, b: Node | None) -> Node | None:
+    return b if a is None else a
+
+
 def _zero(like: Node) -> Node | None:
     return apply("literal", value=0 if is_int(like.vtype) else 0.0) if CHANNELS[like.vtype] == 1 and like.extent.count == 1 else None
 
@@ -41,7 +46,7 @@ def _channel(x: Node, k: int) -> Node:
 
 # op -> (inputs, node) -> replacement or None
 RULES = {
-    "add": lambda x, n: _nothing(x[0]) and _as(x[1], n) or _nothing(x[1]) and _as(x[0], n) or None,
+    "add": lambda x, n: _first(_as(x[1], n) if _nothing(x[0]) else None, _as(x[0], n) if _nothing(x[1]) else None),
     "sub": lambda x, n: _as(x[0], n) if _nothing(x[1]) else None,
     "mul": lambda x, n: (_as(x[1], n) if _value(x[0]) == 1 else _as(x[0], n) if _value(x[1]) == 1 else
                          _zero(n) if 0 in (_value(x[0]), _value(x[1])) else None),
@@ -78,7 +83,8 @@ def simplify(roots: Sequence[Node]) -> list[Node]:
                 value = tuple(map(int if is_int(node.vtype) else float, value))
                 return apply("literal", value=value if len(value) > 1 else value[0])
         rule = RULES.get(node.op.name)
-        return (rule and rule(inputs, node)) or intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+        found = rule(inputs, node) if rule else None
+        return found if found is not None else intern(node.op, stored(node.op, inputs), node.attrs, node.vtype, node.extent)
 
     new = rebuild(roots, rewrite)
     return [new[root] for root in roots]

@@ -1,5 +1,6 @@
 """The ops, by family. Importing this package fills the table."""
 # ruff: noqa: F401
+from .. import operators
 from . import (
     arithmetic,
     compact,
@@ -9,6 +10,7 @@ from . import (
     leaf,
     lookup,
     matrix,
+    pixels,
     raster,
     reduce,
     stencil,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ....cache.errors import GraphError
 from ..ir import Extent, Node, table
 from ..optable import Loop, apply, op
 from .lookup import constant_table, lookup
@@ -43,11 +44,17 @@ def _running_ref(counts, count, each):
     return padded.reshape(extent.height, extent.width, 1)
 
 
-op("chunk_counts", "flags", infer=lambda name, inputs, attrs: _chunks(*inputs, attrs["chunk"]), reads="texel", ref=_counts_ref, cost=64,
+def _chunks_infer(name, inputs, attrs):
+    if not 0 < attrs["count"] <= inputs[0].extent.count:
+        raise GraphError(f"{name}: count is {attrs['count']}; {inputs[0]!r} has {inputs[0].extent.count} entries")
+    return _chunks(*inputs, attrs.get("chunk", CHUNK))
+
+
+op("chunk_counts", "flags", infer=_chunks_infer, reads="texel", ref=_counts_ref, cost=64,
    loop=Loop("for (int k_ = {i} * {chunk}; k_ < min({i} * {chunk} + {chunk}, {count}); ++k_) {", "{y} += {flags_at}(k_);"),
    sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "chunk": 64}),
    doc="Sums over chunks of so many entries, the first `count` of them.")
-op("running_counts", "counts", infer=lambda name, inputs, attrs: _chunks(*inputs), reads="texel", ref=_running_ref, cost=500,
+op("running_counts", "counts", infer=_chunks_infer, reads="texel", ref=_running_ref, cost=500,
    loop=Loop(f"for (int k_ = 0; k_ < min({{i}} * {CHUNK} + {CHUNK}, {{count}}); ++k_) {{", "{y} += {counts_at}(k_) * {each};"),
    sample=lambda rng: ([rng.integers(0, 2, (30, 9, 1))], {"count": 268, "each": 3}),
    doc="`each` times the sum of all entries up to the end of each chunk of 64; the last texel has the total.")
@@ -80,7 +87,12 @@ op("first_chunk", "running total", infer=lambda name, inputs, attrs: ("ivec2", a
    sample=lambda rng: ([np.array([0, 9, 9, 21, 33, 33])[None, :, None], np.array([[[11]]])], {"each": 3, "extent": table(13)}),
    doc="For each slot of a list the chunk that holds its entry, and which set entry of that chunk it is; -1 after the last. What has the "
        "extent of a list is drawn for as many entries as the last texel of `total` says.")
-op("descend", "counts at", infer=lambda name, inputs, attrs: ("ivec2", inputs[1].extent), reads="texel own", ref=_descend_ref, cost=64,
+def _descend_infer(name, inputs, attrs):
+    _chunks_infer(name, inputs[:1], attrs)
+    return "ivec2", inputs[1].extent
+
+
+op("descend", "counts at", infer=_descend_infer, reads="texel own", ref=_descend_ref, cost=64,
    glsl=f"""{{ int k_ = {{at}}.x * {CHUNK}, end_ = {{at}}.x < 0 ? k_ : min(k_ + {CHUNK}, {{count}}), rest_ = {{at}}.y;
   for (; k_ < end_; ++k_) {{ int c_ = {{counts_at}}(k_); if (rest_ < c_) break; rest_ -= c_; }}
   {{y}} = {{at}}.x < 0 ? ivec2(-1, 0) : ivec2(k_, rest_); }}""",

@@ -93,8 +93,8 @@ if ({covered_at}(gl_VertexIndex) != 0) {
     gl_Position = vec4((vec2({wrap}_texel(ivec2(clamp(texel, -2e9, 2e9)), size)) + 0.5) * 2.0 / vec2(size) - 1.0, 0.0, 1.0);
 }
 """
-op("inverse_uv", "uv covered offset", infer=_inverse_infer, reads="vertex vertex vertex", stage="raster", ref=_inverse_ref,
-   cost=300, sample=_points,
+op("inverse_uv", "uv covered offset", attrs="extent wrap pixels cell_w cell_h columns views", infer=_inverse_infer,
+   reads="vertex vertex vertex", stage="raster", ref=_inverse_ref, cost=300, sample=_points,
    functions="""
 ivec2 repeat_texel(ivec2 k, ivec2 size) { return (k % size + size) % size; }
 ivec2 clamp_texel(ivec2 k, ivec2 size) { return clamp(k, ivec2(0), size - 1); }
@@ -109,7 +109,8 @@ def inverse_uv(uv, covered, step, extent, wrap):
 
 
 def _inverse_vjp(g, y, texture, uv, covered, step, wrap):
-    return (apply("lookup", g, inverse_uv(uv, covered, step, texture.extent, wrap)),
+    uv_, covered_ = (x if x.extent == y.extent else apply("broadcast", x, extent=y.extent) for x in (uv, covered))
+    return (apply("lookup", g, inverse_uv(uv_, covered_, step, texture.extent, wrap)),
             apply("sample_uv_gradient", texture, uv, g, wrap=wrap), None, None)
 
 

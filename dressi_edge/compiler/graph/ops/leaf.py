@@ -18,7 +18,13 @@ def _leaf(name, inputs, attrs):
 def _literal(name, inputs, attrs):
     value = attrs["value"]
     parts = value if isinstance(value, tuple) else (value,)
-    if beyond_fp32(parts).any():
+    if not parts or any(isinstance(x, bool) or not isinstance(x, int | float) or isinstance(x, int) != isinstance(parts[0], int)
+                        for x in parts):
+        raise GraphError(f"literal {value!r:.60}: whole numbers, or floats, are needed")
+    if isinstance(parts[0], int):
+        if not all(-2 ** 31 <= x < 2 ** 31 for x in parts):
+            raise GraphError(f"literal {str(value):.60}: whole numbers from -2^31 to 2^31 - 1 are allowed")
+    elif beyond_fp32(parts).any():
         raise GraphError(f"literal {value}: numbers that are finite in fp32 are allowed")
     return vector_type(len(parts), isinstance(parts[0], int)), UNIT
 
@@ -27,7 +33,9 @@ def literal_glsl(value: int | float | tuple) -> str:
     """A number or vector as GLSL, rounded to fp32."""
     if isinstance(value, tuple):
         return f"{vector_type(len(value), isinstance(value[0], int))}({', '.join(map(literal_glsl, value))})"
-    return str(value) if isinstance(value, int) else repr(float(np.float32(value)))
+    if isinstance(value, int):
+        return str(value) if value > -2 ** 31 else "(-2147483647 - 1)"
+    return repr(float(np.float32(value)))
 
 
 def _size(array) -> float:
@@ -50,17 +58,27 @@ def _constant(name, inputs, attrs):
     return attrs["vtype"], attrs["extent"]
 
 
-op("constant", "", infer=_constant, stage="leaf", size=lambda node, sizes: _size(node.attrs["data"].array),
+op("constant", "", attrs="data vtype extent", infer=_constant, stage="leaf", size=lambda node, sizes: _size(node.attrs["data"].array),
    ref=lambda data, **_: data.array,
    doc="Numbers known when the graph is built; they travel in the bundle.")
-op("input", "", infer=_leaf, stage="leaf", ref=None,
+op("input", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", ref=None,
    doc="An image that the session sets by name.")
-op("state", "", infer=_leaf, stage="leaf", ref=None,
+op("state", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", ref=None,
    doc="An image that lives on the device from step to step: parameters, moments, counters.")
 
 op("texel_index", "", infer=lambda name, inputs, attrs: ("int", attrs["extent"]), cost=1,
    ref=lambda extent: np.arange(extent.width * extent.height).reshape(extent.height, extent.width, 1),
    glsl="{y} = {i};", doc="Row-major index of the own texel.")
+
+
+def _cells(vtype):
+    """The type given over an extent of whole cells."""
+    def infer(name, inputs, attrs):
+        e, w, h = attrs["extent"], attrs["cell_w"], attrs["cell_h"]
+        if min(w, h) < 1 or e.width % w or e.height % h:
+            raise GraphError(f"{name}: {e} is not made of whole cells of {w} x {h}")
+        return vtype, e
+    return infer
 
 
 def _grid(extent: Extent) -> tuple[np.ndarray, np.ndarray]:
@@ -78,12 +96,12 @@ def _cell_index(extent, cell_w, cell_h):
     return x // cell_w + (y // cell_h) * (extent.width // cell_w)
 
 
-op("cell_position", "", infer=lambda name, inputs, attrs: ("vec2", attrs["extent"]), ref=_cell_position, cost=2,
+op("cell_position", "", infer=_cells("vec2"), ref=_cell_position, cost=2,
    size=lambda node, sizes: math.log2(max(node.attrs["cell_w"], node.attrs["cell_h"]) / 2),
    glsl="{y} = vec2({p} % ivec2({cell_w}, {cell_h})) + vec2(0.5 - 0.5 * float({cell_w}), 0.5 - 0.5 * float({cell_h}));",
    doc="Pixel centre relative to the centre of its view's cell of the atlas, in pixels.")
-op("cell_index", "", infer=lambda name, inputs, attrs: ("int", attrs["extent"]), ref=_cell_index, cost=2,
+op("cell_index", "", infer=_cells("int"), ref=_cell_index, cost=2,
    glsl="{y} = {p}.x / {cell_w} + ({p}.y / {cell_h}) * ({w} / {cell_w});",
    doc="View of the own pixel in an atlas.")
-op("cached", "", infer=_leaf, stage="leaf", ref=None,
+op("cached", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", ref=None,
    doc="A value that another plan has left on the device (reactive cache).")

@@ -8,8 +8,9 @@ an item and pull everything by `gl_VertexIndex`: no geometry shader, no primitiv
 """
 from __future__ import annotations
 
+from ....cache.errors import GraphError
 from ..ir import table
-from ..optable import Draw, op
+from ..optable import OPS, Draw, common_extent, op
 from . import raster_reference as reference
 
 FUNCTIONS = """
@@ -117,18 +118,37 @@ def _enlarged(fragment: str) -> Draw:
     return Draw(_ENLARGE, fragment + "gl_FragDepth = depth;\n", _SOFT_VARYINGS, vertices=(6, "slots"), count="count")
 
 
+DRAWN = "extent views vertices face_count near cell_w cell_h columns"
+
+
+def _need(name, params, inputs, attrs, **counts):
+    """Each input that is read by number has at least so many entries."""
+    for x, param in zip(inputs, params):
+        if x.extent.count < counts.get(param, 0):
+            raise GraphError(f"{name}: {param} {x!r} has {x.extent.count} entries; {counts[param]} are needed")
+
+
 def _code(channels):
-    return lambda name, inputs, attrs: ("int" if channels == 1 else "ivec2", attrs["extent"])
+    def infer(name, inputs, attrs):
+        corners, vertices = attrs.get("face_count", 0), attrs.get("views", 0) * attrs.get("vertices", 0)
+        listed = {"entries": attrs["slots"], "segments": attrs["slots"]} if "slots" in attrs else {}
+        _need(name, OPS[name].params, inputs, attrs, clip=vertices, faces=corners, corners=3 * corners, behind=1,
+              front=attrs["extent"].count, **listed)
+        return "int" if channels == 1 else "ivec2", attrs["extent"]
+    return infer
 
 
-op("rasterize", "clip faces entries count", infer=_code(1), reads="vertex vertex vertex count", stage="raster", functions=FUNCTIONS,
+op("rasterize", "clip faces entries count", attrs=DRAWN + " radius slots", infer=_code(1), functions=FUNCTIONS,
+   reads="vertex vertex vertex count", stage="raster",
    draws=(_enlarged(_SHIFT + "{y} = found;\n"),), ref=reference.rasterize, cost=1000,
    doc="First layer, the listed faces enlarged.")
-op("rasterize_first", "clip faces entries count", infer=_code(2), reads="vertex vertex vertex count", stage="raster", functions=FUNCTIONS,
+op("rasterize_first", "clip faces entries count", attrs=DRAWN + " radius slots", infer=_code(2), functions=FUNCTIONS,
+   reads="vertex vertex vertex count", stage="raster",
    draws=(_enlarged(_SHIFT + "{y} = ivec2(found, floatBitsToInt(depth));\n"),), ref=reference.rasterize_first, cost=1000,
    doc="First layer with its shifted depth, for peeling.")
-op("rasterize_peel", "clip faces entries count previous", infer=_code(2), reads="vertex vertex vertex count own", stage="raster",
-   functions=FUNCTIONS, draws=(_enlarged(_SHIFT + _PEELED + "{y} = ivec2(found, floatBitsToInt(depth));\n"),),
+op("rasterize_peel", "clip faces entries count previous", attrs=DRAWN + " radius slots", infer=_code(2), functions=FUNCTIONS,
+   reads="vertex vertex vertex count own", stage="raster",
+   draws=(_enlarged(_SHIFT + _PEELED + "{y} = ivec2(found, floatBitsToInt(depth));\n"),),
    ref=reference.rasterize_peel, cost=1000,
    doc="The layer behind `previous` (depth peeling).")
 
@@ -139,8 +159,8 @@ gl_Position = {clip_at}(view * {vertices} + {corners_at}(gl_VertexIndex));
 gl_Position.z *= 0.5;  // the far plane clips nothing: z < 2 w everywhere, unless far < 2 near
 code = view * {face_count} + gl_VertexIndex / 3;
 """
-op("rasterize_hard", "clip corners", infer=_code(1), reads="vertex vertex", stage="raster", ref=reference.rasterize_hard, cost=200,
-   draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"),), vertices=(3, "face_count")),),
+op("rasterize_hard", "clip corners", attrs=DRAWN, infer=_code(1), reads="vertex vertex", stage="raster", cost=200,
+   ref=reference.rasterize_hard, draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"),), vertices=(3, "face_count")),),
    doc="The front face of each pixel, view F + face; -1 where there is none. Fixed-function depth.")
 
 # Whether any face is in front. Of a closed surface, oriented all alike and wholly before the near plane, faces that turn one way cover
@@ -159,7 +179,7 @@ float off = {snap} + 4e-7 * (max(float({w}), float({h})) + max(far.x, far.y));  
 bool away = a.x * b.y - a.y * b.x < -(2.0 * off * (size.x + size.y) + 8.0 * off * off);
 if (away && t.w != 0 && {behind}(ivec2(0)) == 0) gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
 """
-op("rasterize_covered", "clip faces behind", infer=_code(1), reads="vertex vertex vertex", stage="raster", cost=200,
+op("rasterize_covered", "clip faces behind", attrs=DRAWN, infer=_code(1), reads="vertex vertex vertex", stage="raster", cost=200,
    ref=reference.rasterize_covered,
    draws=(Draw(_COVERED, "{y} = 0;\n", (), vertices=(3, "face_count"), depth_test=False),),
    doc="0 where a face covers the pixel, -1 where none does. `faces`: three corners, in order, and whether it is of a closed "
@@ -206,7 +226,12 @@ op("rasterize_segments", "segments entries front count", infer=_code(1), reads="
    doc="For each pixel the slot of the nearest listed segment within `radius` in its cell that is outline for it, the first of equals; -1 "
        "where there is none. Outline: `front` does not cover the pixel, or not the one that lies a pixel beyond the nearest point.")
 
-op("fold_segments", "clip edges", infer=lambda name, inputs, attrs: ("vec4", table(attrs["views"] * attrs["edge_count"])),
+def _fold_infer(name, inputs, attrs):
+    _need(name, ("clip", "edges"), inputs, attrs, clip=attrs["views"] * attrs["vertices"], edges=attrs["edge_count"])
+    return "vec4", table(attrs["views"] * attrs["edge_count"])
+
+
+op("fold_segments", "clip edges", infer=_fold_infer,
    reads="texel texel", ref=reference.fold_segments, functions=FUNCTIONS, cost=40,
    glsl="""{ int view_ = {i} / {edge_count}, first_ = view_ * {vertices};
     ivec4 v_ = {edges_at}({i} - view_ * {edge_count});
@@ -219,8 +244,12 @@ op("fold_segments", "clip edges", infer=lambda name, inputs, attrs: ("vec4", tab
    doc="Screen segments of boundary edges and of folds, whose two faces lie on one side on screen, relative to the cell's centre and "
        "clipped to the near plane; 1e9 for all others.")
 
-op("nearest_edge", "code face_edges segments position active", absent=((4, -1),),
-   infer=lambda name, inputs, attrs: ("int", inputs[0].extent),
+def _nearest_infer(name, inputs, attrs):
+    _need(name, ("code", "face_edges", "segments"), inputs, attrs, face_edges=attrs["face_count"], segments=attrs["edge_count"])
+    return "int", common_extent(name, (inputs[0], *inputs[3:]))
+
+
+op("nearest_edge", "code face_edges segments position active", absent=((4, -1),), infer=_nearest_infer,
    reads="own texel texel own own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,
    glsl="""{y} = -1;
 if ({code} >= 0 && {active} != 0) {

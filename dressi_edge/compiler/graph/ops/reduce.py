@@ -131,11 +131,21 @@ def _meets_ref(box, tiles, tile):
 op("meets_tiles", "box tiles", infer=at(0, vtype="int"), reads="own texel", ref=_meets_ref, cost=60,
    glsl="""{y} = 0;
 { ivec2 size_ = ivec2{tile};
-  for (int d_ = {box}.y / size_.y; d_ * size_.y < {box}.w; ++d_)
-  for (int c_ = {box}.x / size_.x; c_ * size_.x < {box}.z && {y} == 0; ++c_) {y} = {tiles}(ivec2(c_, d_)); }""",
+  for (int d_ = {box}.y / size_.y; d_ * size_.y < {box}.w && d_ < {tiles_h}; ++d_)
+  for (int c_ = {box}.x / size_.x; c_ * size_.x < {box}.z && c_ < {tiles_w} && {y} == 0; ++c_) {y} = {tiles}(ivec2(c_, d_)); }""",
    sample=lambda rng: ([np.array([(0, 0, 0, 0), (1, 1, 9, 4), (30, 8, 33, 16), (0, 0, 35, 20)])[None], np.eye(3, dtype=int)[..., None]],
                        {"tile": (16, 8)}),
    doc="1 for boxes, half open, with pixels in a marked tile.")
+
+_WINDOW = "dx dy cell_w cell_h tile"
+
+
+def _window_infer(name, inputs, attrs):
+    e, w, h = inputs[0].extent, attrs["cell_w"], attrs["cell_h"]
+    if min(w, h) < 1 or e.width % w or e.height % h:
+        raise GraphError(f"{name}: {inputs[0]!r} is not made of whole cells of {w} x {h}")
+    return "int", e
+
 
 _BOUNDS = """ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_h});
     ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));"""
@@ -149,7 +159,7 @@ def _edge_mask_ref(across, tiles, tile, **attrs):
     return ((_window_ref(across, **attrs) == 3) & (spread(tiles, across.shape[1], across.shape[0], tile) != 0)).astype(np.int64)
 
 
-op("covered_window", "front tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=50,
+op("covered_window", "front tiles", attrs=_WINDOW, infer=_window_infer, reads="texel tile", cost=50,
    absent=((1, 0),), ref=_covered_window_ref,
    glsl="{ " + _BOUNDS + """
     {y} = 0;
@@ -158,7 +168,7 @@ op("covered_window", "front tiles", infer=lambda name, inputs, attrs: ("int", in
    sample=lambda rng: ([rng.integers(-1, 2, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
                        {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
    doc="Window of the frontal stencil S^H: bit 1 where a covered pixel is in it, bit 0 where an uncovered one is.")
-op("edge_mask", "across tiles", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="texel tile", cost=50, absent=((1, 0),),
+op("edge_mask", "across tiles", attrs=_WINDOW, infer=_window_infer, reads="texel tile", cost=50, absent=((1, 0),),
    ref=_edge_mask_ref, glsl="{ " + _BOUNDS + """
     int near_ = 0;
     for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) near_ |= {across}(ivec2(a_, b_));

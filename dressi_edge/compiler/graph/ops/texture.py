@@ -86,7 +86,7 @@ def _sample(rng, wrap):
     return [rng.normal(size=(7, 8, 3)), uv], {"wrap": wrap}
 
 
-op("sample", "texture uv", infer=_infer, reads="filtered own", ref=_sample_ref, cost=40, glsl=_sample_glsl,
+op("sample", "texture uv", attrs="wrap", infer=_infer, reads="filtered own", ref=_sample_ref, cost=40, glsl=_sample_glsl,
    vjp=lambda g, y, texture, uv, wrap: (None, apply("sample_uv_gradient", texture, uv, g, wrap=wrap)),
    sample=lambda rng: _sample(rng, "repeat"),
    doc="Bilinear sample of a texture that is not optimized; the gradient flows to the coordinates.")

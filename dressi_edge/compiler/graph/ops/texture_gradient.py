@@ -25,7 +25,7 @@ LANE = 16  # entries a lane sums where a texel has more on average
 def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> Node:
     """The gradient of a texture of `extent` sampled at `uv` where `covered`, from the gradient of the samples."""
     footprint = apply("texture_footprint", uv, covered, width=extent.width, height=extent.height, wrap=wrap)
-    ordered = apply("texture_keys", footprint, width=extent.width, count=uv.extent.count)
+    ordered = apply("texture_keys", footprint, width=extent.width, count=footprint.extent.count)
     run = 1
     while run < ordered.extent.width * ordered.extent.height:
         ordered = apply("merge_runs", ordered, constant(np.array([[[run]]])))  # data, not text: all passes share one pipeline
@@ -33,7 +33,7 @@ def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> No
     bins = apply("texture_bins", ordered, extent=extent)
     rows = apply("texture_rows", bins)
     entries = apply("texture_list", rows, bins, ordered, footprint)
-    across, down = _split(extent, 4 * uv.extent.count)
+    across, down = _split(extent, 4 * footprint.extent.count)
     if across == 1:
         return apply("texture_gather", g, rows, entries)
     y = apply("texture_gather_lanes", g, rows, entries, across=across, down=down)
@@ -261,8 +261,19 @@ def _list_ref(rows, bins, ordered, footprint):
     return out.reshape(e.height, e.width, 2)
 
 
-op("texture_list", "rows bins ordered footprint", reads="texel texel texel texel", ref=_list_ref, cost=300,
-   infer=lambda name, inputs, attrs: ("vec2", table(4 * inputs[3].extent.width * inputs[3].extent.height)),
+def _size(e: Extent) -> tuple[int, int]:
+    return e.width, e.height
+
+
+def _list_infer(name, inputs, attrs):
+    rows, bins, ordered, footprint = inputs
+    pixels = footprint.extent.width * footprint.extent.height
+    if rows.extent != bins.extent or _size(ordered.extent) != _size(table(pixels)):
+        raise GraphError(f"{name}: rows {rows!r} and bins {bins!r} of one extent, and {pixels} ordered pixels are needed, got {ordered!r}")
+    return "vec2", table(4 * pixels)
+
+
+op("texture_list", "rows bins ordered footprint", reads="texel texel texel texel", ref=_list_ref, cost=300, infer=_list_infer,
    glsl="""{ int lo_ = 0, hi_ = {rows_w} * {rows_h};
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if ({rows_at}(m_).x <= {i}) lo_ = m_ + 1; else hi_ = m_; }
     ivec2 r_ = {rows_at}(lo_ - 1);
@@ -298,8 +309,15 @@ def _lanes_ref(g, rows, entries, across, down):
     return out
 
 
+def _gather_infer(name, inputs, attrs):
+    g, rows, entries = inputs
+    if _size(entries.extent) != _size(table(4 * g.extent.width * g.extent.height)):
+        raise GraphError(f"{name}: {entries!r} are not four entries for each texel of {g!r}")
+    return g.vtype, rows.extent
+
+
 def _lanes_infer(name, inputs, attrs):
-    e = inputs[1].extent
+    e = _gather_infer(name, inputs, attrs)[1]
     return inputs[0].vtype, image(e.width * attrs["across"], e.height * attrs["down"])
 
 
@@ -311,7 +329,7 @@ def _gather_sample(rng):
 _ENTRY = "{ vec2 e_ = {entries_at}(k_);"
 _ADD = "{y} += e_.y * {g_at}(int(e_.x));"
 op("texture_gather", "g rows entries", sums=(0,), reads="texel own texel", ref=lambda g, rows, entries: _lanes_ref(g, rows, entries, 1, 1),
-   infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[1].extent), cost=60, absorbs_empty=(1,),
+   infer=_gather_infer, cost=60, absorbs_empty=(1,),
    sample=lambda rng: (_gather_sample(rng), {}),
    loop=Loop("for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) " + _ENTRY, _ADD),
    doc="For each texel the sum of weight x g over its entries; no second derivative.")

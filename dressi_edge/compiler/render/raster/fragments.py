@@ -79,7 +79,9 @@ def listed_boxes(boxes: Node, bins: Node, each: int) -> Compact:
 
 
 def near_faces(face: Node, value: Node) -> Node:
-    """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only."""
+    """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only. One value for all
+    pixels (1 x 1) is broadcast to them."""
+    value = value if value.extent == face.extent else apply("broadcast", value, extent=face.extent)
     return apply("inside_tiles", value, apply("occupied", face, width=TILE, height=TILE), tile=(TILE, TILE))
 
 

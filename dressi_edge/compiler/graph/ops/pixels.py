@@ -1,0 +1,177 @@
+"""What pixels name: lookups by an index that is computed a pixel, which tiles name anything, and the transposes: sums over pixels.
+
+The transpose of a lookup gathers over a box of pixels that is known to hold every pixel that can name the entry, or over what of that
+box is near a segment; both skip what cannot name it.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from ....cache.errors import GraphError
+from ..optable import Loop, apply, at, op
+from .lookup import LOOKUP, lookup_infer, lookup_ref, to_table
+from .reduce import tiles_of
+
+BIN = 8  # pixels a side of a bin of names
+
+
+def _boxed_sample(rng):
+    index = rng.integers(-1, 6, (8, 9, 1))
+    box = np.tile(np.array([0, 0, 9, 8]), (6, 1))
+    return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
+
+
+def _segment_ref(values, index, box, *_, **attrs):
+    out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
+    ys, xs = np.nonzero(index[..., 0] >= 0)
+    entry = index[ys, xs, 0]
+    b = box.reshape(-1, 4)[entry]
+    inside = (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])
+    np.add.at(out, entry[inside], np.broadcast_to(values, index.shape[:2] + values.shape[2:])[ys, xs][inside])
+    return out.reshape(box.shape[0], box.shape[1], -1)
+
+
+op("lookup_boxed", "entries index box", attrs="", alike=((2, 0),), absorbs_negative=(1,), infer=lookup_infer, reads="texel own texel",
+   ref=lookup_ref, cost=8, glsl=LOOKUP, sample=_boxed_sample,
+   vjp=lambda g, y, entries, index, box: (
+       apply("segment_sum", g, index, box, apply("bin_names", index)), None, None),
+   doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
+
+
+def _any_ref(test):
+    def ref(index, width, height):
+        h, w, _ = index.shape
+        padded = np.zeros((-(-h // height) * height, -(-w // width) * width), bool)
+        padded[:h, :w] = test(index[..., 0])
+        return padded.reshape(padded.shape[0] // height, height, -1, width).any((1, 3)).astype(np.int64)[..., None]
+    return ref
+
+
+for _name, _glsl, _test, _covers, _what in (("occupied", ">= 0", lambda x: x >= 0, (0, -1), "index is not negative"),
+                                            ("vacant", "< 0", lambda x: x < 0, None, "index is negative"),
+                                            ("marked", "> 0", lambda x: x > 0, None, "mask is positive")):
+    op(_name, "index", reads="texel", ref=_any_ref(_test), covers=_covers, cost=64,
+       infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
+       glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({index_w}, {index_h}));
+    {y} = 0;
+    for (int b_ = lo_.y; b_ < hi_.y && {y} == 0; ++b_)
+    for (int a_ = lo_.x; a_ < hi_.x && {y} == 0; ++a_) {y} = {index}(ivec2(a_, b_)) TEST ? 1 : 0; }""".replace(
+           "TEST", _glsl),
+       sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
+       doc=f"1 for each tile of width x height pixels in which some {_what}.")
+
+def _bin_names_ref(index):
+    h, w, _ = index.shape
+    out = np.zeros((-(-h // BIN), -(-w // BIN), 4), np.int64)
+    for y, x in np.argwhere(index[..., 0] >= 0):
+        k = index[y, x, 0]
+        out[y // BIN, x // BIN, k >> 5 & 3] |= 1 << (k & 31)
+    return (out + 2 ** 31) % 2 ** 32 - 2 ** 31
+
+
+_NAME_BIT = "ivec4 name_bit(int k) { return ivec4(equal(ivec4(k >> 5 & 3), ivec4(0, 1, 2, 3))) * (1 << (k & 31)); }"
+op("bin_names", "index", reads="texel", ref=_bin_names_ref, cost=64, functions=_NAME_BIT,
+   infer=lambda name, inputs, attrs: ("ivec4", tiles_of(inputs[0].extent, BIN, BIN)),
+   glsl=f"""{{ ivec2 lo_ = {{p}} * {BIN}, hi_ = min(lo_ + {BIN}, ivec2({{index_w}}, {{index_h}}));
+    {{y}} = ivec4(0);
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
+    int k_ = {{index}}(ivec2(a_, b_));
+    if (k_ >= 0) {{y}} |= name_bit(k_); }} }}""",
+   sample=lambda rng: ([rng.integers(-300, 300, (17, 20, 1))], {}),
+   doc=f"For each bin of {BIN} x {BIN} pixels which entries some pixel names: bit k mod 128 is set for each entry k.")
+
+
+def _segment_infer(name, inputs, attrs):
+    values, index, box, bins = inputs
+    if (index.vtype, box.vtype, bins.vtype) != ("int", "ivec4", "ivec4") or bins.extent != tiles_of(index.extent, BIN, BIN):
+        raise GraphError(f"{name}: an int index, ivec4 boxes and the index's bin_names are needed, got {index!r}, {box!r}, {bins!r}")
+    return values.vtype, box.extent
+
+
+# Bin by bin, those skipped in which nothing can name the entry, from pixel to pixel that does. Machines that run several entries at once
+# turn as often as the longest needs, and those that cannot branch around a body run it once for each pixel added, not for each tried.
+_BINS = f"""{{ ivec4 mine_ = name_bit({{i}}), box_ = clamp({{box}}, ivec4(0), ivec4({{index_w}}, {{index_h}}, {{index_w}}, {{index_h}}));
+ivec2 bin_ = ivec2(box_.x / {BIN} - 1, box_.y / {BIN}), q_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
+for (;;) {{
+bool found_ = false;
+for (bool left_ = true; left_ && !found_;) {{
+if (++q_.x >= hi_.x) {{ ++q_.y; q_.x = lo_.x; }}
+if (q_.y >= hi_.y) {{
+if (++bin_.x * {BIN} >= box_.z) {{ bin_.x = box_.x / {BIN}; ++bin_.y; }}
+left_ = bin_.y * {BIN} < box_.w;
+lo_ = max(bin_ * {BIN}, box_.xy);
+hi_ = left_ && any(notEqual({{bins}}(bin_) & mine_, ivec4(0))) ? min(bin_ * {BIN} + {BIN}, box_.zw) : ivec2(0);
+q_ = lo_;
+}}
+found_ = q_.y < hi_.y && {{index}}(q_) == {{i}};
+}}
+if (!found_) break;"""
+op("segment_sum", "values index box bins", attrs="", alike=((0, 1),), sums=(0,), named=(0, 1, -1), infer=_segment_infer,
+   reads="texel texel own texel", ref=_segment_ref, cost=400, functions=_NAME_BIT,
+   vjp=lambda g, y, values, index, box, bins: (apply("lookup", g, index), None, None, None),
+   loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
+   sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
+                        to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.full((1, 2, 4), -1)], {}),
+   doc="Transpose of lookup_boxed: for each entry the sum, over the bins of its box that may hold any (`bin_names`), of the pixels that "
+       "name it.")
+
+# Rows of a capsule: the slab within `reach` of the segment's line, wider by more than rounding; the whole box where the line is nearly
+# level. All pixels in one loop: machines that run several entries at once then turn as often as the longest needs, not its longest row
+# times its most rows.
+_CAPSULE = """{ vec2 d_ = {segment}.zw - {segment}.xy;
+bool level_ = abs(d_.y) < 0.25;
+float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float({reach}) * length(d_) / abs(d_.y) + 0.02 + 2e-3 * abs(slope_);
+ivec4 box_ = clamp({box}, ivec4(0), ivec4({places_w}, {places_h}, {places_w}, {places_h}));
+int b_ = box_.y - 1;
+for (int a_ = 0, end_ = 0; ; ++a_) {
+if (a_ >= end_) {
+if (++b_ >= box_.w) break;
+float at_ = {center}.x + {segment}.x + (float(b_) + 0.5 - {center}.y - {segment}.y) * slope_ - 0.5;
+ivec2 row_ = ivec2(clamp(vec2(ceil(at_ - wide_), floor(at_ + wide_) + 1.0), vec2(box_.xx), vec2(box_.zz)));
+a_ = row_.x; end_ = row_.y;
+if (a_ >= end_) continue;
+}
+ivec2 q_ = ivec2(a_, b_); ivec4 named_ = ivec4({places}(q_));"""
+
+
+def _capsules(rng):
+    """Pixels that name the nearest of some segments, within 2; arguments after the values, with no name out of reach."""
+    ends = np.array([(-4, -3, 3, 2), (2, 3, 2, -3), (-5, 4, 4, 4.1), (-1, 3, -3, -3)], float)
+    ys, xs = np.mgrid[:10, :12] + 0.5 - np.array([5.0, 6.0])[:, None, None]
+    p = np.stack([xs, ys], -1)[..., None, :]
+    d = ends[:, 2:] - ends[:, :2]
+    t = np.clip(((p - ends[:, :2]) * d).sum(-1) / (d * d).sum(-1), 0, 1)
+    far = np.linalg.norm(ends[:, :2] + t[..., None] * d - p, axis=-1)
+    places = np.where(far.min(-1) <= 2, far.argmin(-1) + 1, 0)[..., None]
+    box = np.array([np.concatenate([np.floor(np.minimum(e[:2], e[2:]) + (4, 3)), np.ceil(np.maximum(e[:2], e[2:]) + (8, 7))])
+                    for e in ends]).clip(0, [12, 10, 12, 10]).astype(int)
+    return places, to_table(box), to_table(ends), to_table(np.tile([6.0, 5.0], (4, 1)))
+
+
+def _near_ref(entries, places, *_, channel, reach):
+    return lookup_ref(entries, places[..., channel:channel + 1] - 1)
+
+
+op("lookup_near", "entries places box segment center", alike=((2, 0), (3, 0), (4, 0)), absorbs=(1,), infer=at(1),
+   reads="texel own texel texel texel",
+   size=lambda node, sizes: sizes[0], ref=_near_ref, cost=8,
+   glsl="{ int at_ = ivec4({places})[{channel}] - 1;\n"
+        "    {y} = {type}(0); if (at_ >= 0) {y} = {entries_at}(min(at_, {entries_w} * {entries_h} - 1)); }",
+   vjp=lambda g, y, entries, places, box, segment, center, **attrs: (
+       apply("capsule_sum", g, places, box, segment, center, **attrs), None, None, None, None),
+   sample=lambda rng: ([to_table(rng.normal(size=(4, 3))), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
+   doc="lookup_boxed for entries that are segments, relative to `center`, and pixels within `reach` of the one that a channel of "
+       "`places`, int or ivec4, names, counted from 1, 0 for none: sums over several channels share one loop.")
+op("capsule_sum", "values places box segment center", alike=((0, 1),), sums=(0,), named=(0, 1, 0), infer=at(2),
+   reads="texel texel own own own", cost=300,
+   ref=lambda values, places, box, *_, channel, reach: _segment_ref(values, places[..., channel:channel + 1] - 1, box),
+   vjp=lambda g, y, values, places, *where, **attrs: (apply("lookup_near", g, places, *where, **attrs), None, None, None, None),
+   loop=Loop(_CAPSULE, "if (named_[{channel}] == {i} + 1) {y} += {values}(q_);", "} }"),
+   sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
+   doc="Transpose of lookup_near: for each segment the sum over the pixels of its box and within `reach` that name it.")
+
+op("fetch", "source xy", infer=at(1), reads="texel own", cost=6,
+   ref=lambda source, xy: source[np.clip(xy[..., 1], 0, source.shape[0] - 1), np.clip(xy[..., 0], 0, source.shape[1] - 1)],
+   glsl="{y} = {source}(clamp({xy}, ivec2(0), ivec2({source_w} - 1, {source_h} - 1)));",
+   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.integers(0, 4, (6, 7, 2))], {}),
+   doc="The texel at a computed place, clamped to the image; no gradient.")
