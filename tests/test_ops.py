@@ -21,7 +21,7 @@ from dressi_edge.compiler.graph.ir import image as image_extent
 from dressi_edge.compiler.graph.ops.arithmetic import _compare
 from dressi_edge.compiler.graph.ops.lookup import to_table
 from dressi_edge.compiler.graph.ops.raster_reference import segment_distance2
-from dressi_edge.compiler.graph.optable import OPS, elementwise
+from dressi_edge.compiler.graph.optable import OPS, elementwise, floats, integers
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.raster import Softness, rasterized
@@ -163,12 +163,12 @@ class Case(NamedTuple):
 
 
 DEFAULT_RTOL = 2e-6
-RTOL = {"pow": 2e-5, "sin": 2e-5, "cos": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "exp": 1e-5, "sigmoid": 1e-5,
-        "atan2": 3e-5}
+RTOL = {"pow": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "exp": 1e-5, "sigmoid": 1e-5, "sinh": 2e-5, "cosh": 2e-5, "exp2": 1e-5}
 SPECIAL = np.array([0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 1e-6, -1e-6, 1e-30, -1e-30, 70.0, -70.0, 16777216.0,
                     -16777217.0, 1e30, -1e30])
 # Outside these domains GLSL leaves the result open, or grants so wide an error that a comparison says nothing.
-DOMAIN = {"log": lambda a: a > 0, "sin": lambda a: abs(a) <= 70, "cos": lambda a: abs(a) <= 70,
+DOMAIN = {"log": lambda a: a > 0, "log2": lambda a: a > 0, **dict.fromkeys(("sin", "cos", "tan"), lambda a: abs(a) <= 70),
+          "mod": lambda a, b: (abs(a) > 1e-4 * abs(b)) & (abs(a) < 1e3 * abs(b)),
           "div": lambda a, b: abs(b) > 1e-20,
           "pow": lambda a, b: (a >= 0) & (abs(b) <= 2.5), "atan2": lambda a, b: (a != 0) | (b != 0),
           "idiv": lambda a, b: (a >= 0) & (b > 0), "imod": lambda a, b: (a >= 0) & (b > 0),
@@ -178,7 +178,7 @@ SPECIAL_INT = np.array([0, 1, -1, 2, 7, 30, -100, 12345, -40000, 2 ** 30, -2 ** 
 INTEGER_ONLY = {"idiv", "imod", "shift_left", "shift_right", "bit_and", "bit_or"}
 INTEGER_TOO = {"add", "sub", "neg", "abs", "sign", "min", "max", "copy", "less", "less_equal", "greater", "greater_equal",
                "equal", "not_equal", "stop_gradient"}
-UNARY_BINARY = [o for o in SNIPPETS if o.infer in (elementwise, _compare) or o.name in ("to_float", "to_int")]
+UNARY_BINARY = [o for o in SNIPPETS if o.infer in (elementwise, floats, integers, _compare) or o.name in ("to_float", "to_int")]
 
 
 def special_case(o, values):
@@ -202,7 +202,7 @@ def cases():
             out[o.name, "special"] = Case(special_case(o, SPECIAL_INT if integer else SPECIAL), attrs, rtol)
             if o.name in INTEGER_TOO:
                 out[o.name, "special_int"] = Case(special_case(o, SPECIAL_INT), attrs, rtol)
-            if o.infer is not elementwise and o.infer is not _compare or len(o.params) != 2:
+            if o.infer not in (elementwise, floats, integers, _compare) or len(o.params) != 2:
                 continue
             for shapes in (((4, 5, 3), (4, 5, 1)), ((4, 5, 1), (4, 5, 3)), ((1, 1, 3), (4, 5, 1)), ((4, 5, 1), (1, 1, 3)),
                            ((1, 1, 1), (4, 5, 4)), ((4, 5, 1), (4, 5, 1)), ((1, 1, 2), (1, 1, 2))):
@@ -304,6 +304,42 @@ def test_a_snippet_on_lavapipe_is_the_reference(o, snippets):
     assert mine
     for (name, case), (device, reference, rtol) in mine.items():
         same(device, reference, rtol, f"{name} {case}")
+
+
+# Units of 2^-24 of the largest result by which a function may be off over these arguments; Vulkan would allow a device 2^-11, 4096 ulp.
+EXACT = {"sin": (12000.0, 2.5), "cos": (12000.0, 2.5), "tan": (0.78, 6), "asin": (1.0, 3), "acos": (1.0, 3), "tanh": (9.0, 3),
+         "sinh": (1.0, 3)}
+
+
+def test_what_becomes_a_place_is_exact_to_a_few_units_in_the_last_place(gpu):
+    program, feed, outputs, rng = Program(), {}, {}, seeded("places")
+    for name, (most, _) in EXACT.items():
+        eighths = np.arange(-15000, 15000) * (np.pi / 4)  # where the reduction turns
+        x = rounded(np.concatenate([rng.uniform(-most, most, 6000), np.linspace(-1, 1, 401) * most, rng.uniform(-1, 1, 599) * min(most, 7),
+                                    eighths[np.abs(eighths) < most]]))
+        node = program.input(name, Layout("table", "float", count=len(x)))
+        feed[name] = program.values[name].layout.to_image(x, name)
+        outputs[f"{name}.y"] = apply(name, node), Layout("table", "float", count=len(x))
+    y, x = (program.input(name, Layout("table", "float", count=4000)) for name in "yx")
+    for name in "yx":
+        feed[name] = program.values[name].layout.to_image(rounded(rng.normal(size=4000) * 10.0 ** rng.integers(-20, 20, 4000)), name)
+    outputs["atan2.y"] = apply("atan2", y, x), Layout("table", "float", count=4000)
+    program.plan("p", {}, outputs)
+    device = gpu.run(program, feed)
+    for name, (_, units) in {**EXACT, "atan2": (0, 3)}.items():
+        node, layout = outputs[f"{name}.y"]
+        expected = layout.from_image(evaluate([node], feed)[0])
+        off = np.abs(device[f"{name}.y"] - expected).max() * 2 ** 24 / np.abs(expected).max()
+        assert off < units, f"{name} is off by {off:.2f} units"
+
+
+def test_sine_and_cosine_stay_in_range_however_large_the_angle(gpu):
+    program = Program()
+    x = program.input("x", image_layout(np.zeros((1, 5, 1))))
+    outputs = {name: (apply(name, x), image_layout(np.zeros((1, 5, 1)))) for name in ("sin", "cos")}
+    program.plan("p", {}, outputs)
+    for y in gpu.run(program, {"x": np.array([2e4, -1e6, 1e9, 3e20, -3e38])[None, :, None]}).values():
+        assert np.isfinite(y).all() and np.abs(y).max() <= 1
 
 
 def test_select_ignores_the_huge_branch_that_is_not_taken_and_gives_it_no_gradient(gpu):

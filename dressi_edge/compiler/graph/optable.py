@@ -200,6 +200,22 @@ def elementwise(name: str, inputs: tuple[Node, ...], attrs: dict) -> tuple[str, 
     return vector_type(channels, is_int(inputs[0].vtype)), common_extent(name, inputs)
 
 
+def floats(name: str, inputs: tuple[Node, ...], attrs: dict) -> tuple[str, Extent]:
+    """`elementwise`, of floats alone."""
+    for x in inputs:
+        if is_int(x.vtype):
+            raise GraphError(f"{name}: {x!r} is an integer; convert it with to_float")
+    return elementwise(name, inputs, attrs)
+
+
+def integers(name: str, inputs: tuple[Node, ...], attrs: dict) -> tuple[str, Extent]:
+    """`elementwise`, of integers alone."""
+    for x in inputs:
+        if not is_int(x.vtype):
+            raise GraphError(f"{name}: {x!r} is no integer; convert it with to_int, or use a comparison")
+    return elementwise(name, inputs, attrs)
+
+
 def typed(vtype: str) -> Callable:
     """Inference of an op whose result has this type over the inputs' extent."""
     return lambda name, inputs, attrs: (vtype, common_extent(name, inputs))

@@ -17,5 +17,6 @@ from . import (
     tables,
     texture,
     texture_gradient,
+    transcendental,
     vector,
 )

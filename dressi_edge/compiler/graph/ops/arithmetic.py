@@ -1,11 +1,11 @@
-"""Pixelwise arithmetic, comparisons, choice and transcendental functions. Sources: calculus; guards are in the snippets."""
+"""Pixelwise arithmetic, comparisons and choice. Sources: calculus; guards are in the snippets."""
 from __future__ import annotations
 
 import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import is_int, vector_type
-from ..optable import apply, chosen, common_extent, elementwise, op, product, quotient, unit
+from ..optable import apply, chosen, common_extent, elementwise, floats, integers, op, product, quotient, unit
 
 
 def select(c, a, b):
@@ -13,51 +13,61 @@ def select(c, a, b):
     return apply("select", c, a, b)
 
 
-def _float(node):
-    return node * 1.0 if not is_int(node.vtype) else apply("to_float", node)
-
-
-op("add", "a b", infer=elementwise, ref=np.add, glsl="{y} = {a} + {b};", vjp=lambda g, y, a, b: (g, g))
-op("sub", "a b", infer=elementwise, ref=np.subtract, glsl="{y} = {a} - {b};", vjp=lambda g, y, a, b: (g, -g))
+op("add", "a b", infer=elementwise, ref=np.add, glsl="{y} = {a} + {b};", vjp=lambda g, y, a, b: (g, g),
+   doc="a + b.")
+op("sub", "a b", infer=elementwise, ref=np.subtract, glsl="{y} = {a} - {b};", vjp=lambda g, y, a, b: (g, -g),
+   doc="a - b.")
 op("mul", "a b", absorbs=(0, 1), size=product, infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};",
-   vjp=lambda g, y, a, b: (g * b, g * a))
-op("div", "a b", absorbs=(0,), infer=elementwise, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4, size=quotient,
+   vjp=lambda g, y, a, b: (g * b, g * a), doc="a b, channel by channel.")
+op("div", "a b", absorbs=(0,), infer=floats, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4, size=quotient,
    vjp=lambda g, y, a, b: (g / b, -(g * y / b)),
-   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.uniform(0.5, 2, (4, 5, 1))], {}))
-op("neg", "a", infer=elementwise, ref=np.negative, glsl="{y} = -{a};", vjp=lambda g, y, a: (-g,))
-op("abs", "a", infer=elementwise, ref=np.abs, glsl="{y} = abs({a});", vjp=lambda g, y, a: (g * apply("sign", a),))
+   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.uniform(0.5, 2, (4, 5, 1))], {}), doc="a / b, channel by channel.")
+op("neg", "a", infer=elementwise, ref=np.negative, glsl="{y} = -{a};", vjp=lambda g, y, a: (-g,), doc="-a.")
+op("abs", "a", infer=elementwise, ref=np.abs, glsl="{y} = abs({a});", vjp=lambda g, y, a: (g * apply("sign", a),),
+   doc="Without its sign; the gradient at 0 is 0.")
 op("sign", "a", infer=elementwise, size=unit, ref=np.sign, glsl="{y} = sign({a});", doc="-1, 0 or 1; no gradient.")
-op("floor", "a", infer=elementwise, ref=np.floor, glsl="{y} = floor({a});", doc="No gradient: cut with stop_gradient.")
-op("fract", "a", infer=elementwise, ref=lambda a: a - np.floor(a), glsl="{y} = fract({a});", vjp=lambda g, y, a: (g,))
+op("floor", "a", infer=floats, ref=np.floor, glsl="{y} = floor({a});",
+   doc="The whole number at or below; no gradient: cut with stop_gradient.")
+op("fract", "a", infer=floats, ref=lambda a: a - np.floor(a), glsl="{y} = fract({a});", vjp=lambda g, y, a: (g,),
+   doc="a - floor(a).")
 op("min", "a b", infer=elementwise, size=chosen, ref=np.minimum, glsl="{y} = min({type}({a}), {type}({b}));",
-   vjp=lambda g, y, a, b: (select(a <= b, g, 0.0), select(a <= b, 0.0, g)), doc="A tie gives its gradient to `a`.")
+   vjp=lambda g, y, a, b: (select(a <= b, g, 0.0), select(a <= b, 0.0, g)), doc="The smaller; a tie gives its gradient to `a`.")
 op("max", "a b", infer=elementwise, size=chosen, ref=np.maximum, glsl="{y} = max({type}({a}), {type}({b}));",
-   vjp=lambda g, y, a, b: (select(a >= b, g, 0.0), select(a >= b, 0.0, g)), doc="A tie gives its gradient to `a`.")
+   vjp=lambda g, y, a, b: (select(a >= b, g, 0.0), select(a >= b, 0.0, g)), doc="The larger; a tie gives its gradient to `a`.")
 op("stop_gradient", "a", infer=elementwise, ref=lambda a: a, glsl="{y} = {a};", cost=0, vjp=lambda g, y, a: (None,),
    doc="The value; no gradient flows through.")
 
-op("idiv", "a b", infer=elementwise, ref=lambda a, b: a // b, glsl="{y} = {a} / {b};", cost=4,
-   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(1, 9, (4, 5, 1))], {}), doc="Of non-negative integers.")
-op("imod", "a b", infer=elementwise, ref=lambda a, b: a % b, glsl="{y} = {a} % {b};", cost=4,
-   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(1, 9, (4, 5, 1))], {}), doc="Of non-negative integers.")
-op("shift_left", "a b", infer=elementwise, ref=np.left_shift, glsl="{y} = {type}({a}) << {b};",
-   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
-op("shift_right", "a b", infer=elementwise, ref=np.right_shift, glsl="{y} = {type}({a}) >> {b};",
-   sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
-op("bit_and", "a b", absorbs=(0, 1), infer=elementwise, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
-   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
-op("bit_or", "a b", infer=elementwise, ref=np.bitwise_or, glsl="{y} = {a} | {b};",
-   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}))
+op("idiv", "a b", infer=integers, ref=lambda a, b: a // b, glsl="{y} = {a} / {b};", cost=4,
+   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(1, 9, (4, 5, 1))], {}),
+   doc="The quotient of non-negative integers, rounded down.")
+op("imod", "a b", infer=integers, ref=lambda a, b: a % b, glsl="{y} = {a} % {b};", cost=4,
+   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(1, 9, (4, 5, 1))], {}),
+   doc="The remainder of non-negative integers.")
+op("shift_left", "a b", infer=integers, ref=np.left_shift, glsl="{y} = {type}({a}) << {b};",
+   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}), doc="The integer a, b bits up.")
+op("shift_right", "a b", infer=integers, ref=np.right_shift, glsl="{y} = {type}({a}) >> {b};",
+   sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}),
+   doc="The integer a, b bits down, with its sign.")
+op("bit_and", "a b", absorbs=(0, 1), infer=integers, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
+   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}),
+   doc="Bits of both integers; of conditions, and.")
+op("bit_or", "a b", infer=integers, ref=np.bitwise_or, glsl="{y} = {a} | {b};",
+   sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}),
+   doc="Bits of either integer; of conditions, or.")
 
 
 def _convert(integer: bool):
-    return lambda name, inputs, attrs: (vector_type(inputs[0].channels, integer), inputs[0].extent)
+    """From the other kind: of its own, the value is that already."""
+    def infer(name, inputs, attrs):
+        (floats if integer else integers)(name, inputs, attrs)
+        return vector_type(inputs[0].channels, integer), inputs[0].extent
+    return infer
 
 
 op("to_float", "a", infer=_convert(False), ref=lambda a: a.astype(np.float64), glsl="{y} = {type}({a});",
-   sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2))], {}))
+   sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2))], {}), doc="The integer as a float; no gradient.")
 op("to_int", "a", infer=_convert(True), ref=lambda a: np.trunc(np.clip(a, -2e9, 2e9)).astype(np.int64),
-   glsl="{y} = {type}(clamp({a}, -2e9, 2e9));", doc="Rounds towards zero.",
+   glsl="{y} = {type}(clamp({a}, -2e9, 2e9));", doc="Rounded towards zero; no gradient.",
    sample=lambda rng: ([rng.normal(size=(4, 5, 2)) * 50], {}))
 
 
@@ -89,7 +99,7 @@ def _differs_glsl(node):
     return f"{{y}} = int(floatBitsToInt({kind}({{a}})) != floatBitsToInt({kind}({{b}})));"
 
 
-op("differs", "a b", glsl=_differs_glsl, infer=lambda name, inputs, attrs: ("int", elementwise(name, inputs, attrs)[1]),
+op("differs", "a b", glsl=_differs_glsl, infer=lambda name, inputs, attrs: ("int", floats(name, inputs, attrs)[1]),
    ref=lambda a, b: ((a != b) | (np.signbit(a) != np.signbit(b))).any(-1, keepdims=True).astype(np.int64),
    sample=lambda rng: ([rng.integers(0, 2, (4, 5, 3)) * rng.choice([-1.0, 1.0], (4, 5, 3)), np.zeros((1, 1, 1))], {}),
    doc="1 where some channel of a differs from that of b in any bit, its sign too.")
@@ -122,33 +132,10 @@ op("select", "c a b", infer=_select_infer, size=chosen, ref=lambda c, a, b: np.w
    doc="The branch not taken gets a zero gradient; both branches must be finite.")
 
 
-def _positive(rng):
-    return [rng.uniform(0.3, 3, (4, 5, 3))], {}
-
-
-op("exp", "a", infer=elementwise, size=unit, ref=np.exp, glsl="{y} = exp({a});", vjp=lambda g, y, a: (g * y,), cost=8)
-op("log", "a", infer=elementwise, size=unit, ref=np.log, glsl="{y} = log({a});", vjp=lambda g, y, a: (g / a,), cost=8, sample=_positive,
-   doc="Of positive values.")
-op("sqrt", "a", infer=elementwise, ref=lambda a: np.sqrt(np.maximum(a, 0.0)), glsl="{y} = sqrt(max({a}, {type}(0.0)));", cost=4,
+op("sqrt", "a", infer=floats, ref=lambda a: np.sqrt(np.maximum(a, 0.0)), glsl="{y} = sqrt(max({a}, {type}(0.0)));", cost=4,
    size=lambda node, sizes: sizes[0] / 2,
-   vjp=lambda g, y, a: (select(a > 1e-30, g * 0.5 / apply("max", y, 1e-15), 0.0),), sample=_positive,
-   doc="0 below zero; the gradient at 0 is 0.")
-op("sin", "a", infer=elementwise, size=unit, ref=np.sin, glsl="{y} = sin({a});", vjp=lambda g, y, a: (g * apply("cos", a),), cost=12)
-op("cos", "a", infer=elementwise, size=unit, ref=np.cos, glsl="{y} = cos({a});", vjp=lambda g, y, a: (-(g * apply("sin", a)),), cost=12)
-op("atan2", "a b", infer=elementwise, size=unit, ref=np.arctan2, glsl="{y} = atan({type}({a}), {type}({b}));", cost=16,
-   vjp=lambda g, y, a, b: (g * b / apply("max", a * a + b * b, 1e-30), -(g * a / apply("max", a * a + b * b, 1e-30))),
-   sample=lambda rng: ([rng.uniform(0.3, 1, (4, 5, 2)), rng.uniform(-1, -0.3, (4, 5, 2))], {}))
-op("pow", "a b", infer=elementwise, size=unit, ref=lambda a, b: np.power(np.maximum(a, 1e-30), b), cost=16,
-   glsl="{y} = pow(max({type}({a}), {type}(1e-30)), {type}({b}));",
-   vjp=lambda g, y, a, b: (select(a > 1e-30, g * b * apply("pow", a, b - 1.0), 0.0),
-                           g * y * apply("log", apply("max", a, 1e-30))),
-   sample=lambda rng: ([rng.uniform(0.3, 3, (4, 5, 3)), rng.uniform(-1, 2, (1, 1, 1))], {}),
-   doc="Of non-negative bases; 0 counts as 1e-30 and its base gradient is 0.")
-op("sigmoid", "a", infer=elementwise, size=unit, ref=lambda a: np.where(a >= 0, 1, np.exp(-np.abs(a))) / (1 + np.exp(-np.abs(a))), cost=12,
-   glsl=lambda node: "{ {type} e_ = exp(-abs({a})); {y} = " + (
-       "({a} >= 0.0 ? 1.0 : e_)" if node.channels == 1 else "mix(e_, {type}(1.0), greaterThanEqual({a}, {type}(0.0)))")
-   + " / (1.0 + e_); }",
-   vjp=lambda g, y, a: (g * apply("sigmoid", a) * apply("sigmoid", -a),),
-   doc="1 / (1 + exp(-a)) without overflow; paper 3.4.3.")
+   vjp=lambda g, y, a: (select(a > 1e-30, g * 0.5 / apply("max", y, 1e-15), 0.0),),
+   sample=lambda rng: ([rng.uniform(0.3, 3, (4, 5, 3))], {}),
+   doc="Square root; 0 below zero; the gradient at 0 is 0.")
 op("copy", "a", infer=elementwise, ref=lambda a: a, glsl="{y} = {a};", vjp=lambda g, y, a: (g,),
    doc="The value in an image of its own.")

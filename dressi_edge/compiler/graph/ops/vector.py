@@ -44,7 +44,8 @@ def _swizzle_glsl(node):
 
 op("swizzle", "a", infer=_swizzle_infer, vjp=_swizzle_vjp, glsl=_swizzle_glsl, cost=0,
    ref=lambda a, channels: a[..., [_AXIS[c] for c in channels]],
-   sample=lambda rng: ([rng.normal(size=(4, 5, 4))], {"channels": "wxx"}))
+   sample=lambda rng: ([rng.normal(size=(4, 5, 4))], {"channels": "wxx"}),
+   doc="Channels by name (x y z w), 1 to 4 of them in any order.")
 
 
 def _compose_infer(name, inputs, attrs):
@@ -59,7 +60,8 @@ for _n in (2, 3, 4):
        ref=lambda *xs: np.concatenate(np.broadcast_arrays(*xs), axis=2),
        glsl="{y} = {type}(" + ", ".join("{" + c + "}" for c in "abcd"[:_n]) + ");",
        vjp=lambda g, y, *xs: tuple(apply("swizzle", g, channels=c) for c in "xyzw"[:len(xs)]),
-       sample=lambda rng, n=_n: ([rng.normal(size=(4, 5, 1)) for _ in range(n)], {}))
+       sample=lambda rng, n=_n: ([rng.normal(size=(4, 5, 1)) for _ in range(n)], {}),
+       doc=f"A vector of {_n} scalars.")
 
 
 def _dot_infer(name, inputs, attrs):
@@ -72,7 +74,7 @@ def _dot_infer(name, inputs, attrs):
 op("dot", "a b", absorbs=(0, 1), size=product, infer=_dot_infer, ref=lambda a, b: (a * b).sum(2, keepdims=True), cost=3,
    glsl="{y} = dot({a}, {b});",
    vjp=lambda g, y, a, b: (g * b, g * a),
-   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}))
+   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}), doc="Inner product of two vectors.")
 
 
 def _cross_infer(name, inputs, attrs):
@@ -84,7 +86,7 @@ def _cross_infer(name, inputs, attrs):
 op("cross", "a b", absorbs=(0, 1), size=product, infer=_cross_infer, ref=lambda a, b: np.cross(a, b, axis=2), cost=5,
    glsl="{y} = cross({a}, {b});",
    vjp=lambda g, y, a, b: (apply("cross", b, g), apply("cross", g, a)),
-   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}))
+   sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}), doc="Cross product of two vec3.")
 
 
 def _sum_channels_infer(name, inputs, attrs):
