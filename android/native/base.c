@@ -30,7 +30,8 @@ typedef struct Chunk { struct Chunk *before; size_t used, size; } Chunk;
 enum { CHUNK = 1 << 14, ALIGN = 16, HEAD = (sizeof(Chunk) + ALIGN - 1) / ALIGN * ALIGN };
 
 void *grow(Call *call, Arena *arena, uint64_t count, size_t size) {
-    if (count > (SIZE_MAX / 4 - ALIGN) / size) fail(call, DRESSI_MEMORY, "no memory for %llu items of %zu bytes", (unsigned long long)count, size);
+    if (count > (SIZE_MAX / 4 - ALIGN) / size)
+        fail(call, DRESSI_MEMORY, "no memory for %llu items of %zu bytes", (unsigned long long)count, size);
     size_t wanted = (size_t)(count * size + ALIGN - 1) / ALIGN * ALIGN;
     Chunk *last = arena->last;
     if (!last || wanted > last->size - last->used) {
@@ -59,7 +60,7 @@ void say(Text *text, const char *format, ...) {
     for (int tries = 0; tries < 2 && !text->broken; tries++) {
         va_list rest;
         va_start(rest, format);
-        int length = vsnprintf(text->at + text->length, text->room - text->length, format, rest);
+        int length = vsnprintf(text->at ? text->at + text->length : NULL, text->room - text->length, format, rest);
         va_end(rest);
         if (length < 0) { text->broken = true; return; }
         if (text->room - text->length > (size_t)length) { text->length += length; return; }

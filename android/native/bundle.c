@@ -87,7 +87,8 @@ static void check_layout(Reader *r, uint64_t at) {
     for (uint32_t k = 0; k < bundle->blob_count; k++) {
         const Blob *blob = bundle->blobs + k;
         uint64_t next = divided(at, BLOCK) * BLOCK;
-        if (blob->offset != next || (next <= bundle->size ? !is_zero(bundle->data + at, next - at) : at < bundle->size && !is_zero(bundle->data + at, bundle->size - at)))
+        uint64_t end = next < bundle->size ? next : bundle->size; /* `at` lies within the file */
+        if (blob->offset != next || !is_zero(bundle->data + at, end - at))
             refuse_plainly(r, "blobs[%u]: at %llu; %llu is needed, with zeros before it", k, (ull)blob->offset, (ull)next);
         at = next + blob->size;
         if (at > bundle->size) refuse_plainly(r, "truncated: blobs[%u] ends at %llu, the file at %llu", k, (ull)at, (ull)bundle->size);
@@ -148,7 +149,8 @@ static uint64_t check_head(Call *call, const uint8_t *data, uint64_t size) {
         fail(call, DRESSI_BUNDLE, "truncated: the description has %llu bytes, the file holds %llu of them", (ull)count, (ull)(size - HEAD));
     if (count > MAX_DESCRIPTION)
         fail(call, DRESSI_BUNDLE, "the description has %llu bytes; at most %d are allowed", (ull)count, MAX_DESCRIPTION);
-    if (!matches(data + HEAD, count, data + 24)) fail(call, DRESSI_BUNDLE, "the description's checksum does not match; the file is damaged");
+    if (!matches(data + HEAD, count, data + 24)) fail(call, DRESSI_BUNDLE,
+        "the description's checksum does not match; the file is damaged");
     return count;
 }
 
@@ -196,10 +198,8 @@ void read_bundle(Call *call, Bundle *bundle, const uint8_t *data, uint64_t size,
 
 void read_bundle_file(Call *call, Bundle *bundle, const char *path, const char *pin, uint8_t **data) {
     uint64_t size;
-    const char *wrong = read_file(path, MAX_FILE, data, &size);
-    if (wrong && !strncmp(wrong, "is no", 5)) fail(call, DRESSI_BUNDLE, "%s: %s", path, wrong);
+    const char *wrong = read_file(path, MAX_FILE, false, data, &size);
     if (wrong) fail(call, DRESSI_BUNDLE, "%s: cannot be read: %s", path, wrong);
-    if (size > MAX_FILE) fail(call, DRESSI_BUNDLE, "%s: %llu bytes; at most %llu are allowed", path, (ull)size, (ull)MAX_FILE);
     Call inner;
     if (setjmp(inner.out)) fail(call, inner.error.code, "%s: %s", path, inner.error.text);
     read_bundle(&inner, bundle, *data, size, pin);

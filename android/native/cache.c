@@ -1,5 +1,8 @@
 /* Compiled pipelines kept from one process to the next: dressi_edge/cache/pipeline_cache.py in C. Files, keys and folder are the same, so
-   that what one of them has compiled the other finds. A folder that cannot be read or written costs time, never an error. */
+   that what one of them has compiled the other finds. A folder that cannot be read or written costs time, never an error.
+
+   A driver takes its blob as it takes its own code, and no checksum tells who wrote it. So only what nobody but this user (and root)
+   could have written reaches a driver: files of ours in a folder of ours, which others may neither write to nor exchange. */
 
 #include "session.h"
 
@@ -39,6 +42,47 @@ static char *find_folder(const char *chosen, const char **why) {
     return NULL;
 }
 
+/* Why others could change or exchange a folder on the way to `path`, which is judged itself if `last`; true if they could. */
+static bool is_open(const char *path, bool last, uid_t root, char *why, size_t room) {
+    struct stat about;
+    if (lstat(path, &about) || S_ISLNK(about.st_mode)) return false; /* not there yet; or as safe as the folder that it is in */
+    bool mine = about.st_uid == geteuid() || (!last && (!about.st_uid || about.st_uid == root));
+    bool private_group = !last && about.st_gid == about.st_uid; /* a group of the user alone, as many systems make them */
+    bool exchanged = last || !(about.st_mode & S_ISVTX);
+    if (!mine)
+        snprintf(why, room, "%s belongs to another user (%u); set DRESSI_CACHE to a folder of your own", path, (unsigned)about.st_uid);
+    else if (exchanged && about.st_mode & (private_group ? S_IWOTH : S_IWOTH | S_IWGRP))
+        snprintf(why, room, "%s can be written to by others; chmod go-w it, or set DRESSI_CACHE to a folder of your own", path);
+    else return false;
+    return true;
+}
+
+/* Whether no driver is given a file of this folder, as `distrusted` in Python has it: both the way that its name goes and the way that it
+   really lies. */
+static bool distrusted(const char *folder, char *why, size_t room) {
+    struct stat top;
+    char *real = realpath(folder, NULL), *name = *folder == '/' ? strdup(folder) : NULL, *cwd = name ? NULL : realpath(".", NULL);
+    if (!name && cwd) name = joined(cwd, folder);
+    uid_t root = stat("/", &top) ? 0 : top.st_uid; /* who owns it may do anything; in a sandbox that is not 0 */
+    bool found = !name;
+    if (found) snprintf(why, room, "no memory");
+    for (int k = 0; k < 2 && !found; k++) {
+        char *at = k ? real : name;
+        bool last = k || !real || !strcmp(name, real);
+        while (at && *at && !found) {
+            found = is_open(at, last, root, why, room);
+            char *slash = strrchr(at, '/');
+            last = false;
+            if (slash == at && !at[1]) break;
+            slash[slash == at] = 0; /* the root is the last of all */
+        }
+    }
+    free(real);
+    free(name);
+    free(cwd);
+    return found;
+}
+
 /* SHA-256 of the words in which Python writes the same key. */
 static void make_key(Session *s, Call *call) {
     const dressi_device *d = s->device;
@@ -72,7 +116,8 @@ static char *file_of(const Session *s) {
 static bool belongs(const Session *s, const uint8_t *data, uint64_t size) {
     const VkPhysicalDeviceProperties *p = &s->device->properties;
     return size >= DRIVER_HEAD && little32(data) >= DRIVER_HEAD && little32(data) <= size && little32(data + 4) == 1 &&
-           little32(data + 8) == p->vendorID && little32(data + 12) == p->deviceID && !memcmp(data + 16, p->pipelineCacheUUID, VK_UUID_SIZE);
+           little32(data + 8) == p->vendorID && little32(data + 12) == p->deviceID && !memcmp(data + 16, p->pipelineCacheUUID,
+               VK_UUID_SIZE);
 }
 
 static void make_head(const Session *s, const uint8_t *data, uint64_t size, uint8_t head[HEAD]) {
@@ -88,7 +133,7 @@ static uint8_t *load(const Session *s, size_t *size) {
     uint8_t *data = NULL, head[HEAD];
     uint64_t found;
     char *path = file_of(s);
-    const char *wrong = path ? read_file(path, MAX_FOLDER, &data, &found) : "no memory";
+    const char *wrong = path ? read_file(path, MAX_FOLDER, true, &data, &found) : "no memory";
     bool sound = !wrong && found >= HEAD && found <= MAX_FOLDER;
     if (sound) {
         make_head(s, data + HEAD, found - HEAD, head);
@@ -122,7 +167,8 @@ static void trim_folder(const Session *s, const char *kept) {
         } else if (more) {
             total += (uint64_t)about.st_size;
             if (strcmp(path, kept)) {
-                entries[count++] = (Entry){path, (uint64_t)about.st_size, (uint64_t)about.st_mtim.tv_sec * 1000000000 + (uint64_t)about.st_mtim.tv_nsec};
+                entries[count++] = (Entry){path, (uint64_t)about.st_size,
+                    (uint64_t)about.st_mtim.tv_sec * 1000000000 + (uint64_t)about.st_mtim.tv_nsec};
                 continue;
             }
         }
@@ -158,9 +204,13 @@ static void store(Session *s, const uint8_t *data, size_t size, char *why, size_
     uint8_t head[HEAD];
     *why = 0;
     if (!belongs(s, data, size)) { snprintf(why, room, "the driver's blob is not of this device"); return; }
-    if (size > MAX_FOLDER - HEAD) { snprintf(why, room, "the driver's blob has %zu bytes; %d are allowed", size, MAX_FOLDER - HEAD); return; }
+    if (size > MAX_FOLDER - HEAD) {
+        snprintf(why, room, "the driver's blob has %zu bytes; %d are allowed", size, MAX_FOLDER - HEAD);
+        return;
+    }
     make_head(s, data, size, head);
     make_folder(s->cache.folder);
+    if (distrusted(s->cache.folder, why, room)) return;
     char *path = file_of(s);
     const char *wrong = path ? replace_file(path, (Part[]){{head, HEAD}, {data, size}}, 2, true) : "no memory";
     if (wrong) snprintf(why, room, "%s: %s", s->cache.folder, wrong);
@@ -176,6 +226,12 @@ void open_cache(Session *s, Call *call, const char *folder) {
     size_t size = 0;
     cache->size = DRIVER_HEAD;
     cache->folder = find_folder(folder, &why);
+    char open[sizeof cache->state - 8];
+    if (cache->folder && distrusted(cache->folder, open, sizeof open)) {
+        free(cache->folder);
+        cache->folder = NULL;
+        why = open;
+    }
     if (!cache->folder) {
         snprintf(cache->state, sizeof cache->state, "off (%s)", why);
         return;
@@ -200,7 +256,7 @@ void keep_cache(Session *s) {
     Cache *cache = &s->cache;
     const Vulkan *vk = &s->device->vk;
     size_t size = 0;
-    char why[120];
+    char why[sizeof cache->state - 8];
     if (!cache->handle || !cache->folder || vk->GetPipelineCacheData(s->device->device, cache->handle, &size, NULL) != VK_SUCCESS) return;
     if (size <= cache->size) {
         if (!strcmp(cache->state, "miss")) strcpy(cache->state, "empty (the driver puts nothing into it)");

@@ -7,15 +7,9 @@
 
 enum { MAX_PLANS = 4096, MAX_NEEDS = 16, MAX_PARTS = 1024 };
 
-typedef struct Marks { /* by value and by ref: who was there last; nobody is 0 */
-    uint32_t *of_value, *of_ref, now_value, now_ref;
-} Marks;
-
 static const char *const ROLES[] = {"input", "state", "output", "copy"};
 
-static const Value *value_of(const Reader *r, uint32_t x) { return r->v->values + x; }
-
-static const char *show_name(const Reader *r, uint32_t value, char shown[SHOWN]) {
+const char *show_name(const Reader *r, uint32_t value, char shown[SHOWN]) {
     const Node *values = find(r->v->root, "values");
     return show(find(values->is.items + value, "name"), shown);
 }
@@ -64,7 +58,8 @@ static void check_draw(Reader *r, const Node *node, const Stage *stage, uint32_t
         const Image *image = ref_image(r, images->is.items + k, &ref, 0);
         uint32_t usage = pipeline->bindings[k].kind == 10 ? 128 : 4;
         if (!(image->usage & usage)) refuse(r, ": image %lld lacks usage %u", (long long)ref / 2, usage);
-        if (usage == 4 && attached->of_ref[ref] == attached->now_ref) refuse(r, ": image %lld is written by the same stage", (long long)ref / 2);
+        if (usage == 4 && attached->of_ref[ref] == attached->now_ref)
+            refuse(r, ": image %lld is written by the same stage", (long long)ref / 2);
         draw->images.at[k] = (uint32_t)ref;
     }
     pop(r);
@@ -80,7 +75,8 @@ static void check_draw(Reader *r, const Node *node, const Stage *stage, uint32_t
     const Node *range = open_list(r, node, "depth_range", 2, MAX_ITEMS);
     for (int k = 0; k < 2; k++) {
         const Node *x = range->is.items + k;
-        if (x->kind != REAL || !(x->is.real >= 0 && x->is.real <= 1)) refuse(r, " is %s; two floats from 0 to 1 are needed", show(range, shown));
+        if (x->kind != REAL || !(x->is.real >= 0 && x->is.real <= 1))
+            refuse(r, " is %s; two floats from 0 to 1 are needed", show(range, shown));
     }
     pop(r);
     draw->near = (float)range->is.items[0].is.real, draw->far = (float)range->is.items[1].is.real;
@@ -108,7 +104,8 @@ static void check_stage(Reader *r, const Node *node, Stage *stage, Marks *marks)
         if (image->format != format || !(image->usage & (format ? 16 : 32)))
             refuse(r, ": image %lld of format %u and usage %u does not fit the pass", (long long)ref / 2, image->format, image->usage);
         if (image->width != stage->width || image->height != stage->height)
-            refuse(r, ": image %lld is %u x %u, the stage is %u x %u", (long long)ref / 2, image->width, image->height, stage->width, stage->height);
+            refuse(r, ": image %lld is %u x %u, the stage is %u x %u", (long long)ref / 2, image->width, image->height, stage->width,
+                stage->height);
         twice |= marks->of_ref[ref] == marks->now_ref;
         marks->of_ref[ref] = marks->now_ref;
         stage->attachments.at[k] = (uint32_t)ref;
@@ -163,7 +160,8 @@ static void check_leave(Reader *r, const Plan *plan, uint32_t k, Marks *marks) {
         const Value *a = value_of(r, plan->updates.at[j]), *b = value_of(r, enter->updates.at[j]);
         alike = a->channels == b->channels && a->is_int == b->is_int;
     }
-    for (uint32_t j = 0; alike && j < plan->needs.count; j++) alike = plan->needs.at[j] == (j < enter->needs.count ? enter->needs.at[j] : k - 1);
+    for (uint32_t j = 0; alike && j < plan->needs.count; j++)
+        alike = plan->needs.at[j] == (j < enter->needs.count ? enter->needs.at[j] : k - 1);
     if (!alike)
         refuse(r, ": after the enter plans[%u] a plan is needed that updates states of the same types, gives nothing out, and needs it "
                "and what it needs", k - 1);
@@ -252,148 +250,6 @@ static void check_copies(Reader *r) {
                            v->plans[n].updates.count, n);
             }
     }
-    pop(r);
-}
-
-/* ---- The flow of data ---- */
-
-typedef struct Flow {
-    uint8_t *given;         /* by ref: constants, inputs, the current slots of states and copies */
-    uint32_t *owned;        /* by ref: the plan, counted from 1, that may write it */
-    uint32_t *mine;         /* by ref: the plan, counted from 1, that attached it last */
-    int *kept;              /* by ref: the plan whose result others read, or -1 */
-    uint32_t *read, *wrote; /* by ref: the last stage that did, counted from 1 through all plans */
-    uint32_t *listed, now;  /* by ref: the stage whose list of samples it is in */
-    Indices *writes;        /* by plan: the refs that it attaches, sorted */
-} Flow;
-
-/* What a stage samples and does not attach, sorted. */
-static Indices samples_of(Reader *r, const Stage *stage, Flow *f, const uint32_t *attached, uint32_t mark) {
-    uint32_t count = 0, found = 0, subpasses = r->v->passes[stage->pass].subpass_count;
-    for (uint32_t s = 0; s < subpasses; s++)
-        for (uint32_t d = 0; d < stage->subpasses[s].count; d++) count += stage->subpasses[s].draws[d].images.count + 1;
-    uint32_t *at = make_scratch(r, count, sizeof *at), *spare = make_scratch(r, count, sizeof *spare);
-    for (uint32_t s = 0; s < subpasses; s++)
-        for (uint32_t d = 0; d < stage->subpasses[s].count; d++) {
-            const Draw *draw = stage->subpasses[s].draws + d;
-            for (uint32_t k = 0; k <= draw->images.count; k++) {
-                int64_t ref = k < draw->images.count ? draw->images.at[k] : draw->count;
-                if (ref < 0 || attached[ref] == mark || f->listed[ref] == mark) continue;
-                f->listed[ref] = mark;
-                at[found++] = (uint32_t)ref;
-            }
-        }
-    sort_numbers(at, spare, found);
-    return (Indices){found, at};
-}
-
-static bool contains(Indices sorted, uint32_t x) {
-    uint32_t low = 0, high = sorted.count;
-    while (low < high) {
-        uint32_t middle = low + (high - low) / 2;
-        if (sorted.at[middle] < x) low = middle + 1;
-        else high = middle;
-    }
-    return low < sorted.count && sorted.at[low] == x;
-}
-
-static void check_samples(Reader *r, uint32_t k, Indices sampled, Flow *f, const Marks *reads) {
-    const Variant *v = r->v;
-    const Plan *plan = v->plans + k;
-    char shown[SHOWN];
-    for (uint32_t j = 0; j < sampled.count; j++) {
-        uint32_t ref = sampled.at[j];
-        int value = v->images[ref / 2].value;
-        if (f->given[ref] && f->owned[ref] != k + 1) {
-            if (value >= 0 && reads->of_value[value] != reads->now_value)
-                refuse(r, " reads %s, which plans[%u].reads lacks", show_name(r, value, shown), k);
-        } else if (f->mine[ref] != k + 1) {
-            int source = -1;
-            for (uint32_t n = 0; n < plan->needs.count && source < 0; n++)
-                if (contains(f->writes[plan->needs.at[n]], ref)) source = plan->needs.at[n];
-            if (source < 0) refuse(r, " reads image %u, which nothing has written", ref / 2);
-            f->kept[ref] = source;
-        }
-    }
-}
-
-static void check_stage_flow(Reader *r, uint32_t k, const Stage *stage, Flow *f, Marks *reads, uint32_t *attached, uint32_t *waited) {
-    const Variant *v = r->v;
-    bool first = !*waited, hazard = first, leave = v->plans[k].purpose == LEAVE;
-    uint32_t now = ++f->now;
-    for (uint32_t n = 0; n < stage->attachments.count; n++) {
-        uint32_t ref = stage->attachments.at[n];
-        bool own = f->owned[ref] == k + 1;
-        if ((f->given[ref] && !own) || (v->images[ref / 2].value >= 0 && !own))
-            refuse(r, ".attachments[%u]: image %u is not for this plan to write", n, ref / 2);
-        if (leave && own && v->passes[stage->pass].attachments[n].load)
-            refuse(r, ".attachments[%u]: what comes after an enter loads the states that it updates", n);
-        attached[ref] = now;
-        hazard |= f->wrote[ref] >= *waited || f->read[ref] >= *waited;
-    }
-    Indices sampled = samples_of(r, stage, f, attached, now);
-    check_samples(r, k, sampled, f, reads);
-    for (uint32_t j = 0; j < sampled.count; j++) hazard |= f->wrote[sampled.at[j]] >= *waited;
-    if (hazard && !stage->wait)
-        refuse(r, ".wait is false; the stage touches what was written, or writes what was read, since the last wait");
-    if (stage->wait) *waited = now;
-    for (uint32_t j = 0; j < sampled.count; j++) f->read[sampled.at[j]] = now;
-    for (uint32_t n = 0; n < stage->attachments.count; n++) f->wrote[stage->attachments.at[n]] = now, f->mine[stage->attachments.at[n]] = k + 1;
-}
-
-/* All that a plan attaches, sorted, each once. */
-static Indices written_by(Reader *r, const Plan *plan, uint32_t mark, uint32_t *seen) {
-    uint32_t count = 0, found = 0;
-    for (uint32_t s = 0; s < plan->stage_count; s++) count += plan->stages[s].attachments.count;
-    uint32_t *at = make_scratch(r, count, sizeof *at), *spare = make_scratch(r, count, sizeof *spare);
-    for (uint32_t s = 0; s < plan->stage_count; s++)
-        for (uint32_t n = 0; n < plan->stages[s].attachments.count; n++) {
-            uint32_t ref = plan->stages[s].attachments.at[n];
-            if (seen[ref] != mark) at[found++] = ref;
-            seen[ref] = mark;
-        }
-    sort_numbers(at, spare, found);
-    return (Indices){found, at};
-}
-
-static void check_flow(Reader *r, Marks *marks) {
-    const Variant *v = r->v;
-    uint64_t refs = 2 * (uint64_t)v->image_count;
-    char shown[SHOWN];
-    Flow f = {make_scratch(r, refs, 1), make_scratch(r, refs, 4), make_scratch(r, refs, 4), make_scratch(r, refs, 4), make_scratch(r, refs, 4),
-              make_scratch(r, refs, 4), make_scratch(r, refs, 4), 0, make_scratch(r, v->plan_count, sizeof(Indices))};
-    uint32_t *attached = make_scratch(r, refs, 4), *seen = make_scratch(r, refs, 4);
-    for (uint64_t ref = 0; ref < refs; ref++) {
-        const Image *image = v->images + ref / 2;
-        f.given[ref] = !(ref & 1) && (image->data >= 0 || (image->value >= 0 && value_of(r, image->value)->role != OUTPUT));
-        f.kept[ref] = -1;
-    }
-    push(r, "plans", 0);
-    for EACH(r, k, v->plan_count) {
-        const Plan *plan = v->plans + k;
-        uint32_t own_count = plan->updates.count + plan->outputs.count, waited = 0;
-        uint32_t *own = make_scratch(r, own_count, 4), *spare = make_scratch(r, own_count, 4);
-        marks->now_value++;
-        for (uint32_t j = 0; j < plan->reads.count; j++) marks->of_value[plan->reads.at[j]] = marks->now_value;
-        for (uint32_t j = 0; j < own_count; j++) {
-            bool updated = j < plan->updates.count;
-            uint32_t x = updated ? plan->updates.at[j] : plan->outputs.at[j - plan->updates.count];
-            own[j] = 2 * value_of(r, x)->image + (updated && plan->purpose != LEAVE);
-            f.owned[own[j]] = k + 1;
-        }
-        push(r, "stages", 0);
-        for EACH(r, s, plan->stage_count) check_stage_flow(r, k, plan->stages + s, &f, marks, attached, &waited);
-        pop(r);
-        sort_numbers(own, spare, own_count);
-        for (uint32_t j = 0; j < own_count; j++)
-            if (f.mine[own[j]] != k + 1) refuse(r, " does not write %s", show_name(r, v->images[own[j] / 2].value, shown));
-        f.writes[k] = written_by(r, plan, k + 1, seen);
-    }
-    for EACH(r, k, v->plan_count)
-        for (uint32_t j = 0; j < f.writes[k].count; j++) {
-            uint32_t ref = f.writes[k].at[j];
-            if (f.kept[ref] >= 0 && f.kept[ref] != (int)k) refuse(r, " writes image %u, which plans[%d] keeps for others", ref / 2, f.kept[ref]);
-        }
     pop(r);
 }
 

@@ -20,6 +20,15 @@ static bool holds(const Session *s, uint32_t k, const uint64_t *runs, const bool
     return false;
 }
 
+/* Which inputs and states have numbers that `set` would refuse; false and words for the first of them. */
+static bool is_finite(const Session *s, uint32_t k, const uint8_t *texels, char *words, size_t room) {
+    const Value *value = s->v->values + k;
+    if (value->is_int || value->role == OUTPUT) return true;
+    uint64_t bad = count_not_finite(value, s->v->images[value->image].format, texels);
+    if (bad) snprintf(words, room, "%.100s has %llu values that are NaN or Inf", value->name, (ull)bad);
+    return !bad;
+}
+
 /* ---- Writing ---- */
 
 static void pack_all(const Session *s, Packed *packed, const uint64_t *runs, Indices kept) {
@@ -63,6 +72,12 @@ static void save(Session *s, Call *call, void *arguments) {
         copy_out(s, images, kept.count);
         finish(s, call);
     }
+    char bad[160];
+    for (uint32_t n = 0; n < kept.count; n++)
+        if (!is_finite(s, kept.at[n], s->staging.view + place(&at, s->v->images + images[n]), bad, sizeof bad))
+            fail(call, DRESSI_INPUT, "%.160s: the checkpoint is not written: %s, and what goes on from there is of no use; restore an "
+                 "earlier one, and lower the rates", path, bad);
+    at = 0;
     Packed packed = {NULL, 0};
     pack_all(s, &packed, runs, kept);
     packed.at = spare(s, call, packed.size, 1);
@@ -114,7 +129,8 @@ static const Node *read_description(Session *s, Call *call, const Restore *r, ui
     if (memcmp(r->data + 48, digest, 32)) fail(call, DRESSI_BUNDLE, "the checksum does not match: the checkpoint is damaged");
     hexadecimal(r->data + 16, 32, other);
     hexadecimal(s->bundle.digest, 32, mine);
-    if (strcmp(mine, other)) fail(call, DRESSI_BUNDLE, "the checkpoint belongs to the bundle with SHA-256 %s; this one has %s", other, mine);
+    if (strcmp(mine, other))
+        fail(call, DRESSI_BUNDLE, "the checkpoint belongs to the bundle with SHA-256 %s; this one has %s", other, mine);
     uint64_t most = left < MAX_DESCRIPTION ? left : MAX_DESCRIPTION;
     if (size > most) fail(call, DRESSI_BUNDLE, "a description of %llu bytes; %llu are allowed", (ull)size, (ull)most);
     *start_of_data = HEAD + size;
@@ -186,20 +202,24 @@ static uint64_t limit_of(const Session *s) {
 }
 
 static void read_checkpoint(Session *s, Call *call, Restore *r) {
-    uint64_t limit = limit_of(s);
-    if (r->size > limit) fail(call, DRESSI_BUNDLE, "more than the %llu bytes that a checkpoint of this bundle can have", (ull)limit);
     uint64_t at, total;
     const Node *d = read_description(s, call, r, &at);
     if (!check_types(d, &total)) fail(call, DRESSI_BUNDLE, "the description is not that of a checkpoint");
     if (total != r->size - at)
         fail(call, DRESSI_BUNDLE, "values of %llu bytes are named, %llu are there, each once", (ull)total, (ull)(r->size - at));
     if (!take_apart(s, call, r, d, at)) fail(call, DRESSI_BUNDLE, "the checkpoint's values are not those of this bundle");
+    char bad[160];
+    for (uint32_t n = 0; n < r->count; n++)
+        if (!is_finite(s, r->values[n], r->copies[n].data, bad, sizeof bad))
+            fail(call, DRESSI_BUNDLE, "%s; finite numbers are needed", bad);
 }
 
 static void load(Session *s, Call *call, void *arguments) {
     Restore *r = arguments;
     Call inner;
-    const char *wrong = read_file(r->path, limit_of(s), &r->data, &r->size);
+    const char *wrong = read_file(r->path, limit_of(s), false, &r->data, &r->size);
+    if (wrong == TOO_LARGE)
+        fail(call, DRESSI_BUNDLE, "%.200s: more than the %llu bytes that a checkpoint of this bundle can have", r->path, (ull)limit_of(s));
     if (wrong) fail(call, DRESSI_INPUT, "%.200s: the checkpoint cannot be read: %s", r->path, wrong);
     if (setjmp(inner.out)) fail(call, inner.error.code, "%.200s: %s", r->path, inner.error.text);
     read_checkpoint(s, &inner, r);
@@ -207,7 +227,10 @@ static void load(Session *s, Call *call, void *arguments) {
     upload(s, call, r->copies, r->count);
     for (uint32_t n = 0; n < r->count; n++) s->version[r->values[n]]++;
     for (uint32_t k = 0; k < s->v->value_count; k++)
-        if (s->v->values[k].role == INPUT) s->given[k] = r->inputs[k];
+        if (s->v->values[k].role == INPUT) {
+            s->version[k] += !r->inputs[k]; /* what was made from it is no more */
+            s->given[k] = r->inputs[k];
+        }
     for (uint32_t n = 0; n < s->phases.count; n++) s->plans[s->phases.at[n]].runs = r->runs[n];
     s->phase = r->phase;
     trim(s, s->largest);

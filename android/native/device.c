@@ -134,7 +134,8 @@ static void read_device(Found *f, uint32_t k) {
             d->family = n, d->has_compute = compute;
     }
     read_driver(f, d);
-    if (*d->driver_name || *d->driver_info) snprintf(d->driver, sizeof d->driver, "%s%s%s", d->driver_name, *d->driver_name && *d->driver_info ? " " : "", d->driver_info);
+    const char *space = *d->driver_name && *d->driver_info ? " " : "";
+    if (*d->driver_name || *d->driver_info) snprintf(d->driver, sizeof d->driver, "%s%s%s", d->driver_name, space, d->driver_info);
     else snprintf(d->driver, sizeof d->driver, "driver 0x%x", d->properties.driverVersion);
 }
 

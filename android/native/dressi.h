@@ -49,7 +49,7 @@ typedef enum dressi_code {
 
 typedef struct dressi_error {
     dressi_code code;
-    char text[500];
+    char text[1000];
 } dressi_error;
 
 typedef struct dressi_device dressi_device;

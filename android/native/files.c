@@ -10,16 +10,22 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-const char *read_file(const char *path, uint64_t most, uint8_t **data, uint64_t *size) {
-    int file = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* a pipe would wait for a writer */
+const char TOO_LARGE[] = "it has more bytes than are allowed";
+
+/* A pipe or a device would block when it is opened; what the name stands for is asked of the opened file, not before. */
+const char *read_file(const char *path, uint64_t most, bool only_ours, uint8_t **data, uint64_t *size) {
+    int file = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK | O_NOCTTY | (only_ours ? O_NOFOLLOW : 0));
     if (file < 0) return strerror(errno);
     struct stat about;
     const char *wrong = NULL;
     *size = 0;
     if (fstat(file, &about)) wrong = strerror(errno);
-    else if (S_ISDIR(about.st_mode)) wrong = strerror(EISDIR);
-    else if (!S_ISREG(about.st_mode)) wrong = "is no regular file";
-    uint64_t room = wrong ? 0 : (uint64_t)about.st_size < most ? (uint64_t)about.st_size + 1 : most + 1;
+    else if (S_ISDIR(about.st_mode)) wrong = "Is a directory; it is no regular file";
+    else if (!S_ISREG(about.st_mode)) wrong = "it is no regular file";
+    else if (only_ours && (about.st_uid != geteuid() || about.st_mode & (S_IWGRP | S_IWOTH)))
+        wrong = "it belongs to another user, or others may write to it";
+    else if ((uint64_t)about.st_size > most) wrong = TOO_LARGE;
+    uint64_t room = wrong ? 0 : (uint64_t)about.st_size + 1;
     if (!wrong && (room > SIZE_MAX || !(*data = malloc((size_t)room)))) wrong = strerror(ENOMEM);
     while (!wrong && *size < room) {
         uint64_t left = room - *size;
@@ -30,7 +36,7 @@ const char *read_file(const char *path, uint64_t most, uint8_t **data, uint64_t 
         *size += count;
     }
     close(file);
-    return wrong;
+    return !wrong && *size > (uint64_t)about.st_size ? "it grew while it was read" : wrong;
 }
 
 static const char *write_parts(int file, const Part *parts, size_t count) {

@@ -77,7 +77,8 @@ static void count_feature(Count *c, uint32_t k, VkFormatFeatureFlags wanted, con
     char words[64];
     uint32_t format = c->v->images[k].format;
     if (!(features_of(c->device, (VkFormat)format) & wanted))
-        LINE_OF(c, "images[%u] needs %s with %s; profile %s has %s", k, format_name(format), feature, c->name, feature_words(c, format, words));
+        LINE_OF(c, "images[%u] needs %s with %s; profile %s has %s", k, format_name(format), feature, c->name, feature_words(c, format,
+            words));
 }
 
 static const char *depth_name(uint32_t format) { return format == 126 ? "D32_SFLOAT" : "X8_D24_UNORM_PACK32"; }
@@ -115,7 +116,8 @@ static void count_images(Count *c) {
     }
     if (depth) count_depth(c);
     LIMIT(c, "samplers", v->samplers.count, "samplers", maxSamplerAllocationCount);
-    LIMIT(c, "images", (kind_count < VK_MAX_MEMORY_TYPES ? kind_count : VK_MAX_MEMORY_TYPES) + 1, "memory allocations", maxMemoryAllocationCount);
+    if (kind_count > VK_MAX_MEMORY_TYPES) kind_count = VK_MAX_MEMORY_TYPES; /* a session allocates once a type, and once for transfers */
+    LIMIT(c, "images", kind_count + 1, "memory allocations", maxMemoryAllocationCount);
 }
 
 /* ---- Passes, pipelines, stages ---- */
@@ -174,7 +176,8 @@ static void count_draw(Count *c, const char *where, const Draw *draw) {
     for (uint32_t k = 0; k < draw->cell_count; k++) {
         const uint32_t *cell = draw->cells[k];
         if (cell[2] > l->maxViewportDimensions[0] || cell[3] > l->maxViewportDimensions[1]) {
-            LINE_OF(c, "%s needs a viewport of %u x %u; profile %s allows %u x %u (maxViewportDimensions)", where, cell[2], cell[3], c->name,
+            LINE_OF(c, "%s needs a viewport of %u x %u; profile %s allows %u x %u (maxViewportDimensions)", where, cell[2], cell[3],
+                c->name,
                     l->maxViewportDimensions[0], l->maxViewportDimensions[1]);
             return;
         }
@@ -248,7 +251,8 @@ static VkFormat choose_depth(Count *c) {
     for (uint32_t k = 0; k < c->v->image_count; k++) wanted |= !c->v->images[k].format;
     if (!wanted) return VK_FORMAT_UNDEFINED;
     for (uint32_t k = 0; k < formats.count; k++)
-        if (features_of(c->device, (VkFormat)formats.at[k]) & VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT) return (VkFormat)formats.at[k];
+        if (features_of(c->device, (VkFormat)formats.at[k]) & VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT)
+            return (VkFormat)formats.at[k];
     char words[64] = "";
     for (uint32_t k = 0; k < formats.count && k < 4; k++)
         snprintf(words + strlen(words), sizeof words - strlen(words), "%s%u", k ? ", " : "", formats.at[k]);
@@ -285,7 +289,7 @@ static char *keep(Call *call, Arena *arena, const char *first, const char *secon
 Variant *choose(Call *call, Arena *arena, Bundle *bundle, const dressi_device *device, const char *profile, VkFormat *depth, char **why) {
     const char *name = device->properties.deviceName;
     Variant *taken = NULL;
-    char names[200] = "", refused[400] = "";
+    char names[200] = "", refused[800] = "";
     uint32_t known = 0, refused_count = 0;
     for (uint32_t k = 0; k < bundle->variant_count; k++) {
         snprintf(names + strlen(names), sizeof names - strlen(names), "%s%.60s", k ? " " : "", bundle->variants[k].profile);
@@ -318,9 +322,10 @@ Variant *choose(Call *call, Arena *arena, Bundle *bundle, const dressi_device *d
             for (uint32_t n = 0; n < c->lines && n < SHOWN_LINES; n++)
                 snprintf(all + strlen(all), sizeof all - strlen(all), "%s%s", n ? "; " : "", c->line[n]);
             if (c->lines > SHOWN_LINES) snprintf(all + strlen(all), sizeof all - strlen(all), "; and %u more", c->lines - SHOWN_LINES);
-            snprintf(refused, sizeof refused, "%.390s", all);
+            snprintf(refused, sizeof refused, "%s", all);
         } else {
-            snprintf(refused + strlen(refused), sizeof refused - strlen(refused), "%s%.60s: %s", refused_count ? "; " : "", v->profile, c->line[0]);
+            snprintf(refused + strlen(refused), sizeof refused - strlen(refused), "%s%.60s: %s", refused_count ? "; " : "", v->profile,
+                c->line[0]);
         }
         refused_count++;
     }

@@ -63,8 +63,10 @@ static inline uint64_t little64(const uint8_t *p) { return little32(p) | (uint64
 
 typedef struct Part { const void *data; uint64_t size; } Part;
 
-/* Bytes of a regular file; 0, or what is wrong, as `strerror` says it. At most `most` + 1 bytes are read. The caller frees. */
-const char *read_file(const char *path, uint64_t most, uint8_t **data, uint64_t *size);
+/* Bytes of a regular file of at most `most`; NULL, or what is wrong: TOO_LARGE, or what `strerror` says. `only_ours`: no link, and
+   nobody else's to write. The caller frees `*data`, also after an error. */
+extern const char TOO_LARGE[];
+const char *read_file(const char *path, uint64_t most, bool only_ours, uint8_t **data, uint64_t *size);
 const char *replace_file(const char *path, const Part *parts, size_t count, bool is_private);
 
 /* ---- msgpack.c ---- */
@@ -182,7 +184,7 @@ const uint8_t *blob_data(const Bundle *bundle, uint32_t k);
 /* The file at a path, with the path before what is wrong with it. The caller frees `*data`, also after a failure. */
 void read_bundle_file(Call *call, Bundle *bundle, const char *path, const char *pin, uint8_t **data);
 
-/* ---- Reading: check.c, check_plans.c, spirv.c, check_shaders.c ---- */
+/* ---- Reading: fields.c, check.c, check_plans.c, check_flow.c, spirv.c, check_shaders.c ---- */
 
 typedef struct Reader {
     Call *call;
@@ -208,6 +210,8 @@ static inline void pop(Reader *r) { r->depth--; }
 /* Item k of the list on top of the path. */
 #define EACH(r, k, count_) (uint32_t k = 0; k < (count_) && ((r)->path[(r)->depth - 1].index = k, true); k++)
 
+static inline const Value *value_of(const Reader *r, uint32_t x) { return r->v->values + x; }
+
 void *make(Reader *r, uint64_t count, size_t size);         /* as long as the bundle */
 void *make_scratch(Reader *r, uint64_t count, size_t size); /* until it is read */
 void keys(Reader *r, const Node *map, const char *names, const char *where);
@@ -223,6 +227,11 @@ bool *repeated(Reader *r, const Node *list); /* of each item: a map whose name a
 void check_description(Reader *r, const Node *root);
 void check_variants(Reader *r, const Node *root);
 void check_plans(Reader *r);
+typedef struct Marks { /* by value and by ref: who was there last; nobody is 0 */
+    uint32_t *of_value, *of_ref, now_value, now_ref;
+} Marks;
+const char *show_name(const Reader *r, uint32_t value, char shown[SHOWN]);
+void check_flow(Reader *r, Marks *marks);
 void check_shaders(Reader *r);
 const Interface *parse_shader(Reader *r, const uint8_t *data, uint64_t size);
 
@@ -245,10 +254,8 @@ bool has(Indices all, uint32_t x);
 uint64_t entry_count(const Value *value);
 void describe_value(const Value *value, dressi_value *found);
 void to_texels(Call *call, const Value *value, uint32_t format, const void *array, uint8_t *texels);
+uint64_t count_not_finite(const Value *value, uint32_t format, const uint8_t *texels); /* NaN or Inf, of what is no padding */
 void from_texels(const Value *value, uint32_t format, const uint8_t *texels, void *array);
 void table_size(uint64_t count, uint64_t *width, uint64_t *height);
-
-/* summary.c: for people; a text that the caller frees */
-char *summary(const Variant *v);
 
 #endif

@@ -11,7 +11,8 @@ uint64_t entry_count(const Value *value) {
 }
 
 void describe_value(const Value *value, dressi_value *found) {
-    *found = (dressi_value){.name = value->name, .role = value->role == INPUT ? DRESSI_IN : value->role == STATE ? DRESSI_STATE : DRESSI_OUT,
+    dressi_role role = value->role == INPUT ? DRESSI_IN : value->role == STATE ? DRESSI_STATE : DRESSI_OUT;
+    *found = (dressi_value){.name = value->name, .role = role,
                             .is_int = value->is_int, .channels = (int)value->channels,
                             .bytes = (size_t)(entry_count(value) * value->channels * 4)};
     if (value->layout == TABLE || value->layout == ATLAS) found->shape[found->rank++] = value->count;
@@ -74,7 +75,8 @@ static void check_numbers(Call *call, const Value *value, bool half, const uint8
         bad += size > LAST_FLOAT;
         if (half && size > LAST_HALF && beyond == UINT64_MAX) beyond = k;
     }
-    if (bad) fail(call, DRESSI_INPUT, "%.100s has %llu values that are NaN or Inf; finite numbers are needed", value->name, (unsigned long long)bad);
+    if (bad) fail(call, DRESSI_INPUT, "%.100s has %llu values that are NaN or Inf; finite numbers are needed", value->name,
+        (unsigned long long)bad);
     if (beyond == UINT64_MAX) return;
     char where[80];
     float x;
@@ -133,4 +135,18 @@ void from_texels(const Value *value, uint32_t format, const uint8_t *texels, voi
                 memcpy(to + 4 * ((first + k) * channels + c), &bits, 4);
             }
     }
+}
+
+uint64_t count_not_finite(const Value *value, uint32_t format, const uint8_t *texels) {
+    uint64_t n = entry_count(value), row = row_of(value), channels = value->channels, stride = channels == 3 ? 4 : channels, bad = 0;
+    bool half = is_half(format);
+    for (uint64_t first = 0; first < n; first += row) {
+        const uint8_t *from = texels + place_of(value, first) * stride * (half ? 2 : 4);
+        for (uint64_t k = 0; k < row; k++)
+            for (uint64_t c = 0; c < channels; c++) {
+                const uint8_t *p = from + (half ? 2 : 4) * (k * stride + c);
+                bad += half ? (p[1] & 0x7c) == 0x7c : (little32(p) & 0x7f800000) == 0x7f800000;
+            }
+    }
+    return bad;
 }

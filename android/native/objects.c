@@ -46,7 +46,8 @@ static void clear_images(Session *s, Call *call) {
         VkImageMemoryBarrier first = {TYPE(IMAGE_MEMORY_BARRIER), .newLayout = VK_IMAGE_LAYOUT_GENERAL,
             .dstAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT, .srcQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED,
             .dstQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED, .image = handle, .subresourceRange = whole(image)};
-        vk->CmdPipelineBarrier(s->commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 0, NULL, 0, NULL, 1, &first);
+        vk->CmdPipelineBarrier(s->commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 0, NULL, 0, NULL,
+            1, &first);
         if (image->format) vk->CmdClearColorImage(s->commands, handle, VK_IMAGE_LAYOUT_GENERAL, &zero, 1, &first.subresourceRange);
     }
     barrier(s, s->commands);
@@ -101,7 +102,8 @@ static void create_pass(Session *s, Call *call, const Pass *pass, VkRenderPass *
     VkSubpassDescription *subpasses = spare(s, call, pass->subpass_count, sizeof *subpasses);
     VkSubpassDependency *dependencies = spare(s, call, pass->subpass_count, sizeof *dependencies);
     for (uint32_t k = 0; k < n; k++)
-        attachments[k] = (VkAttachmentDescription){.format = vulkan_format(s, pass->attachments[k].format), .samples = VK_SAMPLE_COUNT_1_BIT,
+        attachments[k] = (VkAttachmentDescription){.format = vulkan_format(s, pass->attachments[k].format),
+            .samples = VK_SAMPLE_COUNT_1_BIT,
             .loadOp = (VkAttachmentLoadOp)pass->attachments[k].load, .storeOp = (VkAttachmentStoreOp)pass->attachments[k].store,
             .stencilLoadOp = VK_ATTACHMENT_LOAD_OP_DONT_CARE, .stencilStoreOp = VK_ATTACHMENT_STORE_OP_DONT_CARE,
             .initialLayout = VK_IMAGE_LAYOUT_GENERAL, .finalLayout = VK_IMAGE_LAYOUT_GENERAL};
@@ -131,7 +133,8 @@ static void create_pass(Session *s, Call *call, const Pass *pass, VkRenderPass *
             VK_ACCESS_INPUT_ATTACHMENT_READ_BIT | VK_ACCESS_COLOR_ATTACHMENT_WRITE_BIT, VK_DEPENDENCY_BY_REGION_BIT};
     }
     VkRenderPassCreateInfo info = {TYPE(RENDER_PASS_CREATE_INFO), .attachmentCount = n, .pAttachments = attachments,
-        .subpassCount = pass->subpass_count, .pSubpasses = subpasses, .dependencyCount = pass->subpass_count - 1, .pDependencies = dependencies};
+        .subpassCount = pass->subpass_count, .pSubpasses = subpasses, .dependencyCount = pass->subpass_count - 1,
+            .pDependencies = dependencies};
     MUST(call, &s->device->vk, CreateRenderPass, s->device->device, &info, NULL, found);
 }
 
@@ -159,7 +162,8 @@ static void create_layouts(Session *s, Call *call) {
         VkDescriptorSetLayoutBinding *bindings = spare(s, call, p->binding_count, sizeof *bindings);
         for (uint32_t b = 0; b < p->binding_count; b++)
             bindings[b] = (VkDescriptorSetLayoutBinding){b, (VkDescriptorType)p->bindings[b].kind, 1, p->bindings[b].stages, NULL};
-        VkDescriptorSetLayoutCreateInfo set = {TYPE(DESCRIPTOR_SET_LAYOUT_CREATE_INFO), .bindingCount = p->binding_count, .pBindings = bindings};
+        VkDescriptorSetLayoutCreateInfo set = {TYPE(DESCRIPTOR_SET_LAYOUT_CREATE_INFO), .bindingCount = p->binding_count,
+            .pBindings = bindings};
         MUST(call, vk, CreateDescriptorSetLayout, s->device->device, &set, NULL, s->set_layouts + k);
         VkPipelineLayoutCreateInfo layout = {TYPE(PIPELINE_LAYOUT_CREATE_INFO), .setLayoutCount = 1, .pSetLayouts = s->set_layouts + k};
         MUST(call, vk, CreatePipelineLayout, s->device->device, &layout, NULL, s->layouts + k);
@@ -179,12 +183,14 @@ static void create_pipeline(Session *s, Call *call, uint32_t k) {
     VkPipelineViewportStateCreateInfo viewport = {TYPE(PIPELINE_VIEWPORT_STATE_CREATE_INFO), .viewportCount = 1, .scissorCount = 1};
     VkPipelineRasterizationStateCreateInfo raster = {TYPE(PIPELINE_RASTERIZATION_STATE_CREATE_INFO), .frontFace = VK_FRONT_FACE_CLOCKWISE,
                                                      .lineWidth = 1};
-    VkPipelineMultisampleStateCreateInfo samples = {TYPE(PIPELINE_MULTISAMPLE_STATE_CREATE_INFO), .rasterizationSamples = VK_SAMPLE_COUNT_1_BIT};
+    VkPipelineMultisampleStateCreateInfo samples = {TYPE(PIPELINE_MULTISAMPLE_STATE_CREATE_INFO),
+        .rasterizationSamples = VK_SAMPLE_COUNT_1_BIT};
     VkPipelineDepthStencilStateCreateInfo depth = {TYPE(PIPELINE_DEPTH_STENCIL_STATE_CREATE_INFO), .depthTestEnable = p->depth,
                                                    .depthWriteEnable = p->depth, .depthCompareOp = VK_COMPARE_OP_LESS};
     VkPipelineColorBlendAttachmentState *masks = spare(s, call, colors, sizeof *masks);
     for (uint32_t c = 0; c < colors; c++) masks[c].colorWriteMask = 15;
-    VkPipelineColorBlendStateCreateInfo blend = {TYPE(PIPELINE_COLOR_BLEND_STATE_CREATE_INFO), .attachmentCount = colors, .pAttachments = masks};
+    VkPipelineColorBlendStateCreateInfo blend = {TYPE(PIPELINE_COLOR_BLEND_STATE_CREATE_INFO), .attachmentCount = colors,
+        .pAttachments = masks};
     VkDynamicState states[] = {VK_DYNAMIC_STATE_VIEWPORT, VK_DYNAMIC_STATE_SCISSOR};
     VkPipelineDynamicStateCreateInfo dynamic = {TYPE(PIPELINE_DYNAMIC_STATE_CREATE_INFO), .dynamicStateCount = 2, .pDynamicStates = states};
     VkGraphicsPipelineCreateInfo info = {TYPE(GRAPHICS_PIPELINE_CREATE_INFO), .stageCount = 2, .pStages = stages,

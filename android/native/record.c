@@ -101,7 +101,8 @@ static void record_stage(Tape *t, uint32_t k) {
     MUST(t->call, vk, CreateFramebuffer, s->device->device, &framebuffer, NULL, t->made->framebuffers + k);
     if (stage->wait) barrier(s, c);
     copy_counts(t, stage);
-    VkRenderPassBeginInfo begin = {TYPE(RENDER_PASS_BEGIN_INFO), .renderPass = s->passes[stage->pass], .framebuffer = t->made->framebuffers[k],
+    VkRenderPassBeginInfo begin = {TYPE(RENDER_PASS_BEGIN_INFO), .renderPass = s->passes[stage->pass],
+        .framebuffer = t->made->framebuffers[k],
                                    .renderArea = {{0, 0}, {stage->width, stage->height}}, .clearValueCount = n, .pClearValues = clears};
     vk->CmdBeginRenderPass(c, &begin, VK_SUBPASS_CONTENTS_INLINE);
     for (uint32_t j = 0; j < pass->subpass_count; j++) {
@@ -136,14 +137,16 @@ static void create_counts(const Tape *t) {
     uint32_t count = 0;
     for (uint32_t k = 0; k < t->plan->stage_count; k++)
         for (uint32_t j = 0; j < s->v->passes[t->plan->stages[k].pass].subpass_count; j++)
-            for (uint32_t d = 0; d < t->plan->stages[k].subpasses[j].count; d++) count += t->plan->stages[k].subpasses[j].draws[d].count >= 0;
+            for (uint32_t d = 0; d < t->plan->stages[k].subpasses[j].count;
+                d++) count += t->plan->stages[k].subpasses[j].draws[d].count >= 0;
     if (!count) return;
     VkBufferCreateInfo info = {TYPE(BUFFER_CREATE_INFO), .size = COMMAND * (VkDeviceSize)count,
                                .usage = VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT};
     MUST(t->call, vk, CreateBuffer, device, &info, NULL, &t->made->counts);
     VkMemoryRequirements needs;
     vk->GetBufferMemoryRequirements(device, t->made->counts, &needs);
-    uint32_t kind = memory_type(t->call, s->device, needs.memoryTypeBits, VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
+    uint32_t kind = memory_type(t->call, s->device, needs.memoryTypeBits,
+        VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
     VkMemoryAllocateInfo memory = {TYPE(MEMORY_ALLOCATE_INFO), .allocationSize = needs.size, .memoryTypeIndex = kind};
     MUST(t->call, vk, AllocateMemory, device, &memory, NULL, &t->made->count_memory);
     MUST(t->call, vk, BindBufferMemory, device, t->made->counts, t->made->count_memory, 0);

@@ -106,7 +106,8 @@ static void open_all(Session *s, Call *call, Source source, const dressi_options
     if (source.path) read_bundle_file(call, &s->bundle, source.path, options->pin, data);
     else read_bundle(call, &s->bundle, source.bytes, source.size, options->pin);
     s->device = options->device;
-    if (s->device && s->device->process != s->process) fail(call, DRESSI_DEVICE, "the device was opened before this process was forked; open another");
+    if (s->device && s->device->process != s->process) fail(call, DRESSI_DEVICE,
+        "the device was opened before this process was forked; open another");
     if (!s->device) {
         s->device = dressi_device_open(options->select, &inner);
         if (!s->device) fail(call, inner.code, "%s", inner.text);
@@ -167,7 +168,7 @@ void dressi_close(dressi_session *s) {
 static const char *const ROLE_WORDS[] = {"input or state", "input or state or output"};
 
 /* The number of a value; `outputs`: outputs are meant, too. */
-static uint32_t value_of(const Session *s, Call *call, const char *name, bool outputs) {
+static uint32_t find_value(const Session *s, Call *call, const char *name, bool outputs) {
     Text names = {0};
     char line[300];
     for (uint32_t k = 0; k < s->v->value_count; k++) {
@@ -201,7 +202,7 @@ int dressi_value_at(const dressi_session *s, uint32_t n, dressi_value *value) {
 
 dressi_code dressi_find(const dressi_session *s, const char *name, dressi_value *value, dressi_error *error) {
     Call call = {.error = {DRESSI_OK, ""}};
-    if (!setjmp(call.out)) describe_value(s->v->values + value_of(s, &call, name, true), value);
+    if (!setjmp(call.out)) describe_value(s->v->values + find_value(s, &call, name, true), value);
     return told(&call, error);
 }
 
@@ -214,13 +215,15 @@ const char *dressi_phase_at(const dressi_session *s, uint32_t k, uint64_t *steps
 typedef struct Transfer { const char *name; const void *from; void *to; size_t bytes; } Transfer;
 
 static uint32_t check_transfer(Session *s, Call *call, const Transfer *t) {
-    uint32_t k = value_of(s, call, t->name, t->to);
+    uint32_t k = find_value(s, call, t->name, t->to);
     dressi_value about;
     describe_value(s->v->values + k, &about);
     if (about.bytes == t->bytes) return k;
     char shape[64] = "";
-    for (int n = 0; n < about.rank; n++) snprintf(shape + strlen(shape), sizeof shape - strlen(shape), "%s%u", n ? ", " : "", about.shape[n]);
-    fail(call, DRESSI_INPUT, "%.100s: the array has %zu bytes; %zu are needed, of shape (%s) and type %s", t->name, t->bytes, about.bytes, shape,
+    for (int n = 0; n < about.rank; n++) snprintf(shape + strlen(shape), sizeof shape - strlen(shape), "%s%u", n ? ", " : "",
+        about.shape[n]);
+    fail(call, DRESSI_INPUT, "%.100s: the array has %zu bytes; %zu are needed, of shape (%s) and type %s", t->name, t->bytes,
+        about.bytes, shape,
          about.is_int ? "int32" : "float");
 }
 
@@ -351,53 +354,3 @@ static void get_loss(Session *s, Call *call, void *arguments) {
 }
 
 dressi_code dressi_loss(dressi_session *s, float *loss, dressi_error *error) { return serial(s, get_loss, loss, error); }
-
-/* ---- The report ---- */
-
-static void say_counts(Session *s, Text *text, bool skipped) {
-    bool first = true;
-    say(text, ", \"%s\": {", skipped ? "skipped" : "runs");
-    for (uint32_t k = 0; k < s->v->plan_count; k++) {
-        const Plan *plan = s->v->plans + k;
-        if (skipped && plan->purpose != GIVES && plan->purpose != ENTER) continue;
-        say(text, first ? "" : ", ");
-        say_json(text, plan->name);
-        say(text, ": %llu", (unsigned long long)(skipped ? s->plans[k].skipped : s->plans[k].runs));
-        first = false;
-    }
-    say(text, "}");
-}
-
-static void make_report(Session *s, Call *call, void *arguments) {
-    Text *text = arguments;
-    say(text, "{\"device\": ");
-    say_json(text, s->device->properties.deviceName);
-    say(text, ", \"driver\": ");
-    say_json(text, s->device->driver_info);
-    say(text, ", \"profile\": ");
-    say_json(text, s->v->profile);
-    say(text, ", \"variants\": {");
-    for (uint32_t k = 0; k < s->bundle.variant_count; k++) {
-        say(text, k ? ", " : "");
-        say_json(text, s->bundle.variants[k].profile);
-        say(text, ": ");
-        say_json(text, s->why[k]);
-    }
-    say(text, "}, \"phase\": ");
-    if (s->phase < 0) say(text, "null");
-    else say_json(text, s->v->plans[s->phases.at[s->phase]].name);
-    say_counts(s, text, false);
-    say_counts(s, text, true);
-    say(text, ", \"image_bytes\": %llu, \"staging_bytes\": %llu, \"pipelines\": %u, \"pipeline_cache\": ", (unsigned long long)s->image_bytes,
-        (unsigned long long)s->staging.size, s->v->pipeline_count);
-    say_json(text, s->cache.state);
-    say(text, "}");
-    if (text->broken) fail(call, DRESSI_MEMORY, "no memory for the report");
-}
-
-char *dressi_report(dressi_session *s, dressi_error *error) {
-    Text text = {0};
-    if (!serial(s, make_report, &text, error)) return text.at;
-    free(text.at);
-    return NULL;
-}

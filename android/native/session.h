@@ -32,7 +32,7 @@ typedef struct Cache {
     size_t size;     /* of what is in the file */
     char *folder;    /* NULL: there is none */
     uint8_t key[32];
-    char state[160]; /* for the report */
+    char state[300]; /* for the report */
 } Cache;
 
 struct dressi_session {

@@ -105,7 +105,8 @@ static void variable(Module *m, uint32_t at, uint32_t n) {
     operands(m, n, 3, at);
     uint32_t storage = word(m, at + 3);
     const Type *pointer = type_of(m, word(m, at + 1), at);
-    if (pointer->of != OF_POINTER || pointer->storage != storage) FAIL("word %u: a variable whose type is no pointer to its storage class", at);
+    if (pointer->of != OF_POINTER || pointer->storage != storage)
+        FAIL("word %u: a variable whose type is no pointer to its storage class", at);
     if (storage != UNIFORM_CONSTANT && storage != IN && storage != OUT && storage != PRIVATE)
         FAIL("word %u: a variable of storage class %u; images, inputs, outputs and private ones are allowed", at, storage);
     for (uint32_t k = 3; k < n; k++) check_id(m, word(m, at + 1 + k), at);
@@ -187,7 +188,8 @@ static void declaration(Module *m, uint32_t op, uint32_t at, uint32_t n) {
         operands(m, n, 2, at);
         check_id(m, first, at);
         uint32_t mode = word(m, at + 2);
-        if (mode != 7 && mode != 9 && mode != 12 && mode != 14 && mode != 15 && mode != 16) FAIL("word %u: execution mode %u is not allowed", at, mode);
+        if (mode != 7 && mode != 9 && mode != 12 && mode != 14 && mode != 15 &&
+            mode != 16) FAIL("word %u: execution mode %u is not allowed", at, mode);
         m->modes |= 1 << mode;
     } else {
         FAIL("word %u: opcode %u is not allowed before the functions", at, op);

@@ -46,7 +46,8 @@ void barrier(const Session *s, VkCommandBuffer commands) {
     VkPipelineStageFlags stages = VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT | VK_PIPELINE_STAGE_VERTEX_SHADER_BIT |
         VK_PIPELINE_STAGE_FRAGMENT_SHADER_BIT | VK_PIPELINE_STAGE_EARLY_FRAGMENT_TESTS_BIT | VK_PIPELINE_STAGE_LATE_FRAGMENT_TESTS_BIT |
         VK_PIPELINE_STAGE_COLOR_ATTACHMENT_OUTPUT_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT;
-    VkAccessFlags writes = VK_ACCESS_COLOR_ATTACHMENT_WRITE_BIT | VK_ACCESS_DEPTH_STENCIL_ATTACHMENT_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
+    VkAccessFlags writes = VK_ACCESS_COLOR_ATTACHMENT_WRITE_BIT | VK_ACCESS_DEPTH_STENCIL_ATTACHMENT_WRITE_BIT |
+        VK_ACCESS_TRANSFER_WRITE_BIT;
     VkMemoryBarrier all = {TYPE(MEMORY_BARRIER), .srcAccessMask = writes, .dstAccessMask = writes | VK_ACCESS_SHADER_READ_BIT |
         VK_ACCESS_INPUT_ATTACHMENT_READ_BIT | VK_ACCESS_COLOR_ATTACHMENT_READ_BIT | VK_ACCESS_DEPTH_STENCIL_ATTACHMENT_READ_BIT |
         VK_ACCESS_TRANSFER_READ_BIT};
@@ -77,7 +78,8 @@ void reserve(Session *s, Call *call, uint64_t size) {
     vk->GetBufferMemoryRequirements(device, staging->buffer, &needs);
     VkMemoryPropertyFlags visible = VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
     uint32_t kind = memory_type(call, s->device, needs.memoryTypeBits, visible | VK_MEMORY_PROPERTY_HOST_CACHED_BIT);
-    if ((s->device->memory.memoryTypes[kind].propertyFlags & visible) != visible) kind = memory_type(call, s->device, needs.memoryTypeBits, visible);
+    if ((s->device->memory.memoryTypes[kind].propertyFlags & visible) != visible)
+        kind = memory_type(call, s->device, needs.memoryTypeBits, visible);
     VkMemoryAllocateInfo memory = {TYPE(MEMORY_ALLOCATE_INFO), .allocationSize = needs.size, .memoryTypeIndex = kind};
     MUST(call, vk, AllocateMemory, device, &memory, NULL, &staging->memory);
     MUST(call, vk, BindBufferMemory, device, staging->buffer, staging->memory, 0);
@@ -121,7 +123,8 @@ void copy_out(Session *s, const uint32_t *images, uint32_t count) {
         s->device->vk.CmdCopyImageToBuffer(s->commands, current(s, images[k]), VK_IMAGE_LAYOUT_GENERAL, s->staging.buffer, 1, &copy);
     }
     VkMemoryBarrier host = {TYPE(MEMORY_BARRIER), .srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT, .dstAccessMask = VK_ACCESS_HOST_READ_BIT};
-    s->device->vk.CmdPipelineBarrier(s->commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &host, 0, NULL, 0, NULL);
+    s->device->vk.CmdPipelineBarrier(s->commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &host, 0, NULL, 0,
+        NULL);
 }
 
 void upload(Session *s, Call *call, const Copy *copies, uint32_t count) {

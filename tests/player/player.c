@@ -13,21 +13,30 @@
        save . FILE, load . FILE             a checkpoint
        report . .                           prints the report
        values . .                           prints the values and phases
-       try NAME FILE                        as get; prints code and sentence instead of failing
+       fork NAME .                          prints what a child's get says, and goes on
+       try DO:WITH WHAT                     any of them; prints code and sentence, and goes on
 
-   DRESSI_PROFILE names the variant to play; DRESSI_PIN the file's SHA-256. Exit status: the code of the error. */
+   PLAYER_MEMORY: the bundle is read from memory, at an odd address. DRESSI_PROFILE names the variant to play;
+       DRESSI_PIN the file's SHA-256. Exit status: the code of the error. */
 
 #include <pthread.h>
+#include <setjmp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "dressi.h"
 
 static dressi_error error;
 
+static int trying;
+static jmp_buf tried;
+
 static void must(dressi_code code) {
     if (!code) return;
+    if (trying) longjmp(tried, code);
     fprintf(stderr, "%s\n", error.text);
     exit(code);
 }
@@ -147,8 +156,9 @@ static void step(const char *phase, const char *what, const char *how) {
     dressi_bound bound = {-1, NULL, &calls};
     if (*how == 'b') bound.seconds = atof(rest + 1);
     if (*how == 'c') bound.cancel = countdown;
-    must(dressi_step(s, n, *phase == '.' ? NULL : phase, *how == 's' ? NULL : &bound, &done, &error));
+    dressi_code code = dressi_step(s, n, *phase == '.' ? NULL : phase, *how == 's' ? NULL : &bound, &done, &error);
     if (*how != 's') printf("%llu\n", (unsigned long long)done);
+    must(code);
 }
 
 static void values(void) {
@@ -160,7 +170,23 @@ static void values(void) {
         for (int n = 0; n < value.rank; n++) printf(" %u", value.shape[n]);
         printf("\n");
     }
-    for (uint32_t k = 0; dressi_phase_at(s, k, &steps); k++) printf("phase %s %llu\n", dressi_phase_at(s, k, NULL), (unsigned long long)steps);
+    for (uint32_t k = 0; dressi_phase_at(s, k, &steps); k++) printf("phase %s %llu\n", dressi_phase_at(s, k, NULL),
+        (unsigned long long)steps);
+}
+
+static void in_a_child(const char *name) {
+    fflush(stdout);
+    pid_t child = fork();
+    if (!child) {
+        float x;
+        dressi_code code = dressi_get(s, name, &x, sizeof x, &error);
+        dressi_close(s); /* does nothing */
+        printf("%d %s\n", code, error.text);
+        fflush(stdout);
+        _exit(0);
+    }
+    int status;
+    if (waitpid(child, &status, 0) != child || status) die("the child failed");
 }
 
 static void perform(const char *what, const char *with, const char *path) {
@@ -168,18 +194,31 @@ static void perform(const char *what, const char *with, const char *path) {
     char *report;
     if (!strcmp(what, "set")) set(with, path);
     else if (!strcmp(what, "get")) must(get(with, path));
-    else if (!strcmp(what, "try")) { dressi_code code = get(with, path); printf("%d %s\n", code, code ? error.text : ""); }
     else if (!strcmp(what, "step") || !strcmp(what, "bound") || !strcmp(what, "cancel")) step(with, path, what);
     else if (!strcmp(what, "threads")) threads(with, atoi(path));
     else if (!strcmp(what, "loss")) { must(dressi_loss(s, &loss, &error)); printf("%.9g\n", loss); }
     else if (!strcmp(what, "save")) must(dressi_checkpoint(s, path, &error));
     else if (!strcmp(what, "load")) must(dressi_restore(s, path, &error));
     else if (!strcmp(what, "values")) values();
+    else if (!strcmp(what, "fork")) in_a_child(with);
     else if (!strcmp(what, "report")) {
         if (!(report = dressi_report(s, &error))) must(error.code);
         puts(report);
         dressi_free(report);
     } else die(what);
+}
+
+static void try_to(const char *what, const char *path) {
+    char verb[200];
+    snprintf(verb, sizeof verb, "%s", what);
+    char *with = strchr(verb, ':');
+    if (!with) die(what);
+    *with++ = 0;
+    trying = 1;
+    int code = setjmp(tried);
+    if (!code) perform(verb, with, path);
+    trying = 0;
+    printf("%d %s\n", code, code ? error.text : "");
 }
 
 int main(int count, char **words) {
@@ -191,9 +230,21 @@ int main(int count, char **words) {
     }
     if (count < 3 || count % 3 || strcmp(words[1], "run")) die("see the first lines of player.c");
     dressi_options options = {.profile = getenv("DRESSI_PROFILE"), .pin = getenv("DRESSI_PIN")};
-    if (!(s = dressi_open(words[2], &options, &error))) must(error.code);
+    if (getenv("PLAYER_MEMORY")) {
+        size_t size;
+        unsigned char *data = load_file(words[2], &size), *odd = malloc(size + 1);
+        memcpy(odd + 1, data, size);
+        s = dressi_open_memory(odd + 1, size, &options, &error);
+        memset(odd, 0, size + 1);
+        free(odd);
+        free(data);
+    } else {
+        s = dressi_open(words[2], &options, &error);
+    }
+    if (!s) must(error.code);
     for (int k = 3; k < count; k += 3) {
-        perform(words[k], words[k + 1], words[k + 2]);
+        if (!strcmp(words[k], "try")) try_to(words[k + 1], words[k + 2]);
+        else perform(words[k], words[k + 1], words[k + 2]);
         fflush(stdout);
     }
     dressi_close(s);
