@@ -1,59 +1,53 @@
 """What a shader binds, takes and gives, read from its SPIR-V.
 
-In: the bytes of a module. Out: its `Interface`, or a BundleError and nothing else. Linear in the bytes.
+In: the bytes of a module. Out: its `Interface`, or a BundleError and nothing else. Takes n log n for n bytes.
 
-Modules are held to what a player needs: SPIR-V 1.0, the opcodes, capabilities and storage classes of vertex and fragment
-shaders that touch nothing but descriptors, varyings and their own variables, every id within the bound, one entry point `main`.
-No more is promised: types inside functions and termination are not checked (spirv-val saw the module when it was compiled).
-Numbers are those of the SPIR-V specification, version 1.6, chapter 3.
+Modules are held to what a player needs, and to what drivers may take for granted: SPIR-V 1.0, the opcodes, capabilities and storage
+classes of vertex and fragment shaders that touch nothing but descriptors, varyings and their own variables; types, constants and
+variables of bounded size (`spirv_types.py`); every instruction of the right types, in structured control flow (`spirv_body.py`,
+`spirv_flow.py`); one entry point `main`. What passes, spirv-val passes too (`tests/test_spirv.py` holds the two together). That a shader
+ends is not promised. Numbers are those of the SPIR-V specification, version 1.6, chapter 3.
 """
 from __future__ import annotations
 
 import struct
-import sys
 from dataclasses import dataclass, field
 
 from . import vulkan as v
-from .errors import BundleError
+from .spirv_body import Body
+from .spirv_module import INPUT, OUTPUT, PRIVATE, UNIFORM_CONSTANT, Module, Type
+from .spirv_types import CONSTANTS, LENGTHS, declare_constant, declare_type
 
-MAGIC, VERSION = 0x07230203, 0x00010000
 MAX_LOCATIONS = 64  # more than any known device has
-HUGE = 1 << 20  # component counts stop here
 MODELS = {0: v.STAGE_VERTEX, 4: v.STAGE_FRAGMENT}
 CAPABILITIES = frozenset({0, 1, 40, 50, 51})  # Matrix Shader InputAttachment ImageQuery DerivativeControl: need no feature
-MODES = frozenset({7, 9, 12, 14, 15, 16})  # OriginUpperLeft EarlyFragmentTests DepthReplacing -Greater -Less -Unchanged
-UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE, FUNCTION = 0, 1, 3, 6, 7
-FLAT, BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT = 14, 11, 30, 31, 32, 33, 34, 43
-_ONCE = frozenset({BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT})
-
-# opcode: how many of its first operands are ids; 9 stands for all. What is not here is refused.
-_ALL = 9
-BODY = dict.fromkeys((*range(109, 117), 124, *range(126, 153), *range(154, 192), *range(194, 206), *range(207, 216)), _ALL)
-BODY |= {1: 2, 8: 1, 12: 3, 54: 2, 55: 2, 56: 0, 57: 3, 59: 3, 61: 3, 62: 2, 63: 2, 65: _ALL, 66: _ALL, 79: 4, 80: _ALL,
-         81: 3, 82: 4, 83: 3, 84: 3, 86: 4, 87: 4, 88: 4, 91: 4, 92: 4, 95: 4, 96: 5, 98: 4, 100: 3, 103: 4, 104: 3, 105: 4,
-         106: 3, 245: _ALL, 246: 2, 247: 1, 248: 1, 249: 1, 250: 3, 251: 2, 252: 0, 253: 0, 254: 1, 255: 0, 317: 0}
-_IGNORED = frozenset({2, 3, 4, 5, 6, 7, 8, 317, 330})  # sources, names, lines
-_TYPED = {1: 2, 41: 2, 42: 2, 43: 2, 44: _ALL, 46: 2}  # undefined values and constants
-
-
-@dataclass(frozen=True)
-class Type:
-    """A type as far as an interface needs it. `kind`: float int uint image sampled struct pointer other; `components` of
-    scalars, vectors and what is built of them, 0 for what cannot be an interface variable."""
-
-    kind: str
-    components: int = 0
-    plain: bool = False  # a scalar or vector of 32 bits
-    pointee: int = 0
-    storage: int = -1
-    integer: bool = False  # of images: what a read gives
-    attachment: bool = False  # of images: a subpass input
+SHADER, INPUT_ATTACHMENT = 1, 40
+# EarlyFragmentTests OriginUpperLeft DepthReplacing -Greater -Less -Unchanged
+MODES = frozenset({7, 9, 12, 14, 15, 16})
+ORIGIN, REPLACES_DEPTH, DEPTHS = 7, 12, frozenset({14, 15, 16})
+BLOCK, FLAT, BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT = 2, 14, 11, 30, 31, 32, 33, 34, 43
+NUMBERED = frozenset({BUILTIN, LOCATION, BINDING, SET, ATTACHMENT})  # decorations with a number, once
+PLAIN = frozenset({0, BLOCK, 13, FLAT, 16, 18, 42})  # RelaxedPrecision Block NoPerspective Flat Centroid Invariant NoContraction
+FREE = frozenset({0, 42})  # of results of instructions, too
+INTERPOLATED = frozenset({13, FLAT, 16})
+MARKS_OF_IMAGES, MARKS_OF_VARYINGS = frozenset({BINDING, SET, ATTACHMENT}), frozenset({BUILTIN, LOCATION, 18}) | INTERPOLATED
+# Built-ins, by stage and storage class: number -> the letter and count of its type. Clip and cull distances (3, 4) need features, and are
+# members that no shader touches.
+BUILTINS = {(v.STAGE_VERTEX, INPUT): {42: "i1", 43: "i1"}, (v.STAGE_VERTEX, OUTPUT): {0: "f4", 1: "f1"},
+            (v.STAGE_FRAGMENT, INPUT): {15: "f4", 16: "f2", 17: "b1"}, (v.STAGE_FRAGMENT, OUTPUT): {22: "f1"}}
+PER_VERTEX = {0: "f4", 1: "f1", 3: "array", 4: "array"}
+POINT_SIZE, FRAG_DEPTH, CLOSED = 1, 22, frozenset({3, 4})
+NAMES, LINES = frozenset({5, 6}), frozenset({8, 317})
+# The order in which declarations come: opcode -> section. Lines belong to any from types on.
+SECTIONS = {17: 0, 11: 1, 14: 2, 15: 3, 16: 4, 2: 5, 3: 5, 4: 5, 7: 5, 5: 6, 6: 6, 330: 7, 71: 8, 72: 8}
+TYPES = 9
 
 
 @dataclass(frozen=True)
 class Interface:
     """`bindings`: number -> (descriptor kind, reads integers, input attachment index or -1). `inputs`, `outputs`: location ->
-    (float int uint, components). `input_components`, `output_components`: whole locations and the built-ins."""
+    (float int uint, components). `input_components`, `output_components`: whole locations and the built-ins.
+    `point_size`: a vertex shader that writes the size of points."""
 
     stage: int
     bindings: dict[int, tuple[int, bool, int]] = field(default_factory=dict)
@@ -61,326 +55,256 @@ class Interface:
     outputs: dict[int, tuple[str, int]] = field(default_factory=dict)
     input_components: int = 0
     output_components: int = 0
+    point_size: bool = False
 
 
 def parse(data: bytes, where: str = "shader") -> Interface:
     """The interface of a module. Raises BundleError and nothing else."""
-    return _Module(data, where).interface()
+    return _Declarations(Module(data, where)).interface()
 
 
-class _Steps(dict):
-    """First word of an instruction in a function -> how many words it has, negated for functions, calls and variables;
-    LookupError for what is not allowed. Filled as it is asked: there are few different ones."""
+class _Declarations:
+    """Reads what comes before the first function, has `Body` read the rest, and finds what the variables mean."""
 
-    def __missing__(self, word: int) -> int:
-        count, op = word >> 16, word & 0xFFFF
-        if not count or not (BODY[op] < count or BODY[op] == _ALL):
-            raise LookupError
-        self[word] = -count if op in (54, 57, 59) else count
-        return self[word]
-
-
-class _Module:
-    def __init__(self, data, where: str):
-        self.where, self.data = where, data
-        size = len(data)
-        if size % 4 or size < 20:
-            self.fail(f"{size} bytes are no SPIR-V module")
-        self.words = words = struct.unpack(f"<{size // 4}I", data)
-        if words[0] != MAGIC:
-            self.fail(f"begins with {words[0]:#010x}; SPIR-V begins with {MAGIC:#010x}")
-        if words[1] != VERSION:
-            self.fail(f"is SPIR-V version {words[1]:#x}; 1.0 ({VERSION:#x}) is allowed")
-        self.bound = words[3]
-        if not 0 < self.bound <= len(words):
-            self.fail(f"has ids up to {self.bound}; at most one a word, {len(words)}, is allowed")
-        if words[4]:
-            self.fail(f"has the reserved word {words[4]}; 0 is allowed")
-        self.types: dict[int, Type] = {}
-        self.constants: dict[int, int] = {}
-        self.defined: set[int] = set()
+    def __init__(self, m: Module):
+        self.m, self.words = m, m.words
         self.decorations: dict[int, dict[int, int]] = {}
-        self.builtin_blocks: set[int] = set()
-        self.variables: list[tuple[int, int, int]] = []  # id, storage class, pointee
+        self.members: dict[int, dict[int, int]] = {}  # structure -> member -> built-in
         self.modes: set[int] = set()
-        self.stage: int | None = None
-        self.entry = 0
-        self._functions(self._declarations())
+        self.named: dict[int, int] = {}  # what annotations speak of, and where
+        self.moded: dict[int, int] = {}  # what execution modes speak of, and where
+        self.seen: set[tuple] = set()
+        self.models = 0
+        body, at = Body(m), self._all()
+        if not m.stage:
+            m.fail("has no entry point")
+        if self.models != 1 or not {SHADER} <= m.capabilities:
+            m.fail("lacks its memory model, or capability 1 (Shader)")
+        body.read(at)
+        for x, at in self.named.items():
+            if x not in m.defined:
+                m.wrong(at, f"speaks of id {x}, which nothing defines")
+        for x, at in self.moded.items():
+            if x != m.entry or m.stage != v.STAGE_FRAGMENT:
+                m.wrong(at, "an execution mode of what is no fragment shader")
 
-    def fail(self, what: str):
-        raise BundleError(f"{self.where}: {what}")
-
-    # ---- instructions
-
-    def _declarations(self) -> int:
-        """Everything before the first function; where that is."""
-        words, at, end = self.words, 5, len(self.words)
+    def _all(self) -> int:
+        """Every declaration; where the first function is."""
+        m, words, at, end, section = self.m, self.words, 5, len(self.words), 0
         while at < end:
             count, op = words[at] >> 16, words[at] & 0xFFFF
             if not count or count > end - at:
-                self.fail(f"word {at}: an instruction of {count} words; {end - at} are left")
+                m.wrong(at, f"an instruction of {count} words; {end - at} are left")
             if op == 54:
                 return at
-            if op not in _IGNORED:
-                self._declaration(op, words[at + 1:at + count], at)
+            mine = TYPES if op in LENGTHS or op in CONSTANTS or op == 59 or op in LINES else SECTIONS.get(op)
+            if mine is None:
+                m.wrong(at, f"opcode {op} is not allowed before the functions")
+            if mine < section:
+                m.wrong(at, f"opcode {op} comes too late")
+            section = mine
+            self._one(op, words[at + 1:at + count], at)
             at += count
-        self.fail("has no function")
+        m.fail("has no function")
 
-    def _functions(self, start: int) -> None:
-        """Every instruction of the functions is known, its ids are within the bound, and what is called is there."""
-        words, end, steps = self.words, len(self.words), _Steps()
-        if self.stage is None:
-            self.fail("has no entry point")
-        at, n, step, noted, sound = start, 0, 0, [], True
-        try:
-            while at < end:  # the one loop over all instructions: whatever else there is to do is done at C's speed
-                step = steps[words[at]]
-                if step < 0:
-                    noted.append(at)
-                    step = -step
-                at += step
-                n += 1
-        except LookupError:
-            sound = False
-        # if only the n first words of instructions have a high half, the words without one are the operands
-        halves = memoryview(self.data).cast("B").cast("H")[2 * start:].tolist()
-        high, low = halves[1::2], halves[::2]
-        sound = sound and at == end and sys.byteorder == "little" and len(high) - high.count(0) == n
-        if not sound or max(low) >= self.bound and max(filter((1 << 16).__gt__, words[start:]), default=0) >= self.bound:
-            self._each(start)
-        if words[-1] != 0x10038 or step != 1:
-            self.fail("ends within a function")
-        calls, functions = {self.entry}, set()
-        for at in noted:
-            op = words[at] & 0xFFFF
-            if op == 59:
-                if words[at + 3] != FUNCTION:
-                    self.fail(f"word {at}: a variable in a function that is not its own")
-            elif op == 54:
-                functions.add(words[at + 2])
-            else:
-                calls.add(words[at + 3])
-        if not calls <= functions:
-            self.fail("calls a function that is not there" if self.entry in functions else "lacks the entry point's function")
-
-    def _each(self, at: int) -> None:
-        """The same one by one: names what is wrong, and accepts literals beyond the bound."""
-        words, end, bound = self.words, len(self.words), self.bound
-        while at < end:
-            count, op = words[at] >> 16, words[at] & 0xFFFF
-            if not count or count > end - at:
-                self.fail(f"word {at}: an instruction of {count} words; {end - at} are left")
-            ids = BODY.get(op)
-            if ids is None:
-                self.fail(f"word {at}: opcode {op} is not allowed in a function")
-            if ids != _ALL and ids >= count:
-                self.fail(f"word {at}: opcode {op} has {count - 1} operands; {ids} are needed")
-            top = max(words[at + 1:at + (count if ids == _ALL else 1 + ids)], default=0)
-            if top >= bound:
-                self.fail(f"word {at}: id {top}; ids below {bound} are allowed")
-            at += count
-
-    def _id(self, x: int, at: int) -> int:
-        if not 0 < x < self.bound:
-            self.fail(f"word {at}: id {x}; ids from 1 to {self.bound - 1} are allowed")
-        return x
-
-    def _define(self, x: int, at: int) -> int:
-        if self._id(x, at) in self.defined:
-            self.fail(f"word {at}: id {x} is defined twice")
-        self.defined.add(x)
-        return x
-
-    def _type(self, x: int, at: int) -> Type:
-        if x not in self.types:
-            self.fail(f"word {at}: id {x} is no type defined before")
-        return self.types[x]
-
-    def _operands(self, ops: tuple, least: int, at: int) -> None:
-        if len(ops) < least:
-            self.fail(f"word {at}: opcode {self.words[at] & 0xFFFF} has {len(ops)} operands; {least} are needed")
-
-    def _declaration(self, op: int, ops: tuple, at: int) -> None:
-        if 19 <= op <= 33:
-            self._operands(ops, 1, at)
-            self.types[self._define(ops[0], at)] = self._new_type(op, ops, at)
-        elif op in _TYPED:
-            self._operands(ops, 3 if op == 43 else 2, at)
-            self._type(ops[0], at)
-            for x in ops[1:] if _TYPED[op] == _ALL else ops[1:2]:
-                self._id(x, at)
-            self._define(ops[1], at)
-            if op == 43:
-                self.constants[ops[1]] = ops[2]
+    def _one(self, op: int, ops: tuple, at: int) -> None:
+        m = self.m
+        if op in LENGTHS:
+            declare_type(m, op, ops, at, self.seen)
+        elif op in CONSTANTS:
+            declare_constant(m, op, ops, at)
         elif op == 59:
             self._variable(ops, at)
-        elif op == 71 or op == 72:
+        elif op in (71, 72):
             self._decoration(op, ops, at)
         elif op == 17:
-            self._operands(ops, 1, at)
+            m.operands(ops, 1, at, 1)
             if ops[0] not in CAPABILITIES:
-                self.fail(f"word {at}: capability {ops[0]} is not allowed")
+                m.wrong(at, f"capability {ops[0]} is not allowed")
+            m.capabilities.add(ops[0])
         elif op == 11:
-            self._operands(ops, 2, at)
-            self._define(ops[0], at)
-            if self._text(ops[1:]) != b"GLSL.std.450":
-                self.fail(f"word {at}: only the instructions of GLSL.std.450 are allowed")
+            m.operands(ops, 2, at)
+            if m.text(ops[1:], at) != b"GLSL.std.450":
+                m.wrong(at, "only the instructions of GLSL.std.450 are allowed")
+            m.instructions = m.define(ops[0], at)
         elif op == 14:
             if ops != (0, 1):
-                self.fail(f"word {at}: the memory model must be Logical GLSL450")
+                m.wrong(at, "the memory model must be Logical GLSL450")
+            self.models += 1
         elif op == 15:
             self._entry(ops, at)
         elif op == 16:
-            self._operands(ops, 2, at)
-            self._id(ops[0], at)
-            if ops[1] not in MODES:
-                self.fail(f"word {at}: execution mode {ops[1]} is not allowed")
-            self.modes.add(ops[1])
+            self._mode(ops, at)
         else:
-            self.fail(f"word {at}: opcode {op} is not allowed before the functions")
+            self._told(op, ops, at)
 
-    @staticmethod
-    def _text(words: tuple) -> bytes:
-        return struct.pack(f"<{len(words)}I", *words).partition(b"\0")[0]
+    def _told(self, op: int, ops: tuple, at: int) -> None:
+        """Sources, names and lines: of no use here, but of sound form."""
+        m = self.m
+        numbers = {2: 0, 3: 2, 4: 0, 5: 1, 6: 2, 7: 1, 8: 3, 317: 0, 330: 0}[op]
+        m.operands(ops, numbers, at, numbers if op in LINES else None)
+        if op in NAMES:
+            self.named.setdefault(m.id(ops[0], at), at)
+        elif op == 7:
+            m.define(ops[0], at)
+        elif op == 8:
+            self.named.setdefault(m.id(ops[0], at), at)
+        elif op == 3 and len(ops) > 2:
+            self.named.setdefault(m.id(ops[2], at), at)
+            numbers = 3
+        if op not in LINES and (op != 3 or len(ops) > 3):
+            m.text(ops[numbers:], at)
 
     def _entry(self, ops: tuple, at: int) -> None:
-        self._operands(ops, 3, at)
-        if self.stage is not None:
-            self.fail(f"word {at}: a second entry point")
+        m = self.m
+        m.operands(ops, 4, at)
+        if m.stage:
+            m.wrong(at, "a second entry point")
         if ops[0] not in MODELS:
-            self.fail(f"word {at}: execution model {ops[0]}; vertex (0) and fragment (4) are allowed")
+            m.wrong(at, f"execution model {ops[0]}; vertex (0) and fragment (4) are allowed")
         if ops[2:4] != struct.unpack("<2I", b"main\0\0\0\0"):
-            self.fail(f"word {at}: the entry point must be called main")
+            m.wrong(at, "the entry point must be called main")
         for x in (ops[1], *ops[4:]):
-            self._id(x, at)
-        self.stage, self.entry = MODELS[ops[0]], ops[1]
+            m.id(x, at)
+        m.stage, m.entry, m.listed = MODELS[ops[0]], ops[1], set(ops[4:])
+        if len(m.listed) != len(ops) - 4:
+            m.wrong(at, "the entry point names a variable twice")
 
-    def _new_type(self, op: int, ops: tuple, at: int) -> Type:
-        def need(least: int) -> None:
-            self._operands(ops, least, at)
-
-        if op == 21:
-            need(3)
-            return Type("int" if ops[2] else "uint", 1, ops[1] == 32)
-        if op == 22:
-            need(2)
-            return Type("float", 1, ops[1] == 32)
-        if op == 23:
-            need(3)
-            x = self._type(ops[1], at)
-            return Type(x.kind, min(HUGE, x.components * ops[2]), x.plain and x.components == 1 and 2 <= ops[2] <= 4)
-        if op == 24 or op == 28:
-            need(3)
-            x = self._type(ops[1], at)
-            length = ops[2] if op == 24 else self.constants.get(ops[2], 0)
-            return Type("other", min(HUGE, x.components * length))
-        if op == 25:
-            return self._image(ops, at)
-        if op == 27:
-            need(2)
-            x = self._type(ops[1], at)
-            if x.kind != "image" or x.attachment:
-                self.fail(f"word {at}: a combined sampler of what is no sampled image")
-            return Type("sampled", integer=x.integer)
-        if op == 30:
-            return Type("struct", min(HUGE, sum(self._type(x, at).components for x in ops[1:])))
-        if op == 32:
-            need(3)
-            self._type(ops[2], at)
-            return Type("pointer", pointee=ops[2], storage=ops[1])
-        if op == 33:
-            need(2)
-            for x in ops[1:]:
-                self._type(x, at)
-            return Type("other")
-        if op in (19, 20):
-            return Type("other")
-        self.fail(f"word {at}: opcode {op} makes a type that is not allowed")
-
-    def _image(self, ops: tuple, at: int) -> Type:
-        self._operands(ops, 8, at)
-        x = self._type(ops[1], at)
-        _, _, dim, depth, arrayed, multisampled, sampled, image_format = ops[:8]
-        if not x.plain or x.components != 1 or x.kind == "uint":
-            self.fail(f"word {at}: an image of what is neither float nor int")
-        if (dim, sampled) not in ((1, 1), (6, 2)) or depth == 1 or arrayed or multisampled or image_format:
-            self.fail(f"word {at}: an image that is neither sampled 2D nor subpass input")
-        return Type("image", integer=x.kind == "int", attachment=dim == 6)
+    def _mode(self, ops: tuple, at: int) -> None:
+        m = self.m
+        m.operands(ops, 2, at, 2)
+        self.moded.setdefault(m.id(ops[0], at), at)
+        if ops[1] not in MODES:
+            m.wrong(at, f"execution mode {ops[1]} is not allowed")
+        if ops[1] in self.modes or ops[1] in DEPTHS and self.modes & DEPTHS:
+            m.wrong(at, f"execution mode {ops[1]} is given twice, or with another of the kind")
+        self.modes.add(ops[1])
 
     def _variable(self, ops: tuple, at: int) -> None:
-        self._operands(ops, 3, at)
-        pointer = self._type(ops[0], at)
+        m = self.m
+        m.operands(ops, 3, at, 4)
+        pointer = m.type(ops[0], at)
         if pointer.kind != "pointer" or pointer.storage != ops[2]:
-            self.fail(f"word {at}: a variable whose type is no pointer to its storage class")
+            m.wrong(at, "a variable whose type is no pointer to its storage class")
         if ops[2] not in (UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE):
-            self.fail(f"word {at}: a variable of storage class {ops[2]}; images, inputs, outputs and private ones are allowed")
-        for x in ops[3:]:
-            self._id(x, at)
-        self.variables.append((self._define(ops[1], at), ops[2], pointer.pointee))
+            m.wrong(at, f"a variable of storage class {ops[2]}; images, inputs, outputs and private ones are allowed")
+        if len(ops) == 4 and (ops[2] not in (OUTPUT, PRIVATE) or ops[3] not in m.fixed or m.values[ops[3]] != pointer.of):
+            m.wrong(at, "a variable that begins with what is no constant of its type, or may not")
+        m.weigh(m.types[pointer.of], at)
+        m.variables.append((m.define(ops[1], at), ops[2], pointer.of))
+        m.values[ops[1]] = ops[0]
 
     def _decoration(self, op: int, ops: tuple, at: int) -> None:
-        member = op == 72
-        self._operands(ops, 2 + member, at)
-        self._id(ops[0], at)
+        m, member = self.m, op == 72
+        m.operands(ops, 2 + member, at)
+        self.named.setdefault(m.id(ops[0], at), at)
         kind, rest = ops[1 + member], ops[2 + member:]
+        if kind not in NUMBERED and kind not in PLAIN:
+            m.wrong(at, f"decoration {kind} is not allowed")
+        m.operands(rest, int(kind in NUMBERED), at, int(kind in NUMBERED))
         if member:
-            if kind == BUILTIN:
-                self.builtin_blocks.add(ops[0])
-            elif kind in _ONCE:
-                self.fail(f"word {at}: decoration {kind} of a member is not allowed")
+            if kind != BUILTIN or ops[1] in self.members.setdefault(ops[0], {}):
+                m.wrong(at, f"decoration {kind} of a member is not allowed, or there twice")
+            self.members[ops[0]][ops[1]] = rest[0]
+            m.closed.setdefault(ops[0], set()).update({ops[1]} if rest[0] in CLOSED else ())
             return
         mine = self.decorations.setdefault(ops[0], {})
-        if kind in _ONCE:
-            self._operands(rest, 1, at)
-            if kind in mine or kind in (COMPONENT, INDEX):
-                self.fail(f"word {at}: decoration {kind} {'twice' if kind in mine else 'is not allowed'}")
+        if kind in mine:
+            m.wrong(at, f"decoration {kind} twice")
         mine[kind] = rest[0] if rest else 1
 
     # ---- what it means
 
     def interface(self) -> Interface:
-        stage = self.stage
-        if stage == v.STAGE_FRAGMENT and 7 not in self.modes:
-            self.fail("is a fragment shader without OriginUpperLeft")
+        """What the variables are for. Raises BundleError."""
+        m, stage = self.m, self.m.stage
+        if stage == v.STAGE_FRAGMENT and ORIGIN not in self.modes:
+            m.fail("is a fragment shader without OriginUpperLeft")
+        storages = {x: storage for x, storage, _ in m.variables}
+        for x in m.listed:
+            if storages.get(x) not in (INPUT, OUTPUT):
+                m.fail(f"has an entry point that names id {x}, which is no input or output")
+        for x, marks in self.decorations.items():
+            if BLOCK in marks and (x not in m.types or m.types[x].kind != "struct") or marks.keys() - FREE - {BLOCK} and x not in storages:
+                m.fail(f"id {x}: a decoration of what it does not go with")
         bindings: dict[int, tuple[int, bool, int]] = {}
         sides: dict[int, dict[int, tuple[str, int]]] = {INPUT: {}, OUTPUT: {}}
-        extra = {INPUT: 0, OUTPUT: 0}
-        for x, storage, pointee in self.variables:
-            marks, kind = self.decorations.get(x, {}), self.types[pointee]
+        extra, built_in = {INPUT: 0, OUTPUT: 0}, set()
+        for x, storage, pointee in m.variables:
+            marks, kind = self.decorations.get(x, {}), m.types[pointee]
+            if x in m.touched and storage in sides and x not in m.listed:
+                m.fail(f"id {x}: an input or output that is used and not named by the entry point")
+            if marks.keys() - FREE - (MARKS_OF_IMAGES if storage == UNIFORM_CONSTANT else MARKS_OF_VARYINGS if storage in sides else set()):
+                m.fail(f"id {x}: a decoration that variables of its storage class have not")
             if storage == UNIFORM_CONSTANT:
-                self._bind(x, marks, kind, stage, bindings)
+                self._bind(x, marks, kind, bindings)
             elif storage in sides:
-                if BUILTIN in marks or kind.kind == "struct" and pointee in self.builtin_blocks:
+                found = self._built_in(x, storage, marks, pointee)
+                if found and found & built_in:
+                    m.fail(f"id {x}: a built-in that there is already")
+                if found:
+                    built_in |= found
                     extra[storage] += kind.components
                 else:
-                    self._locate(x, marks, kind, sides[storage], flat=stage == v.STAGE_FRAGMENT and storage == INPUT)
+                    self._locate(x, marks, kind, sides[storage], (stage, storage))
         if stage == v.STAGE_VERTEX and sides[INPUT]:
-            self.fail("takes vertex attributes; a bundle has none")
+            m.fail("takes vertex attributes; a bundle has none")
         count = {side: 4 * (max(sides[side], default=-1) + 1) + extra[side] for side in sides}
-        return Interface(stage, bindings, sides[INPUT], sides[OUTPUT], count[INPUT], count[OUTPUT])
+        return Interface(stage, bindings, sides[INPUT], sides[OUTPUT], count[INPUT], count[OUTPUT], any(
+            self.members.get(x, {}).get(k) == POINT_SIZE for x, k in m.reached) or any(
+            self.decorations.get(x, {}).get(BUILTIN) == POINT_SIZE for x in m.touched))
 
-    def _bind(self, x: int, marks: dict, kind: Type, stage: int, bindings: dict) -> None:
-        if kind.kind not in ("image", "sampled"):
-            self.fail(f"id {x}: a descriptor that is neither image nor combined sampler")
+    def _built_in(self, x: int, storage: int, marks: dict, pointee: int) -> set[tuple[int, int]]:
+        """The built-ins that a variable stands for, as (storage class, number); none for those with a location."""
+        m, kind, which = self.m, self.m.types[pointee], BUILTINS[self.m.stage, storage]
+        if pointee in self.members:
+            mine = self.members[pointee]
+            good = (m.stage, storage) == (v.STAGE_VERTEX, OUTPUT) and set(mine) == set(range(kind.count)) and not marks \
+                and BLOCK in self.decorations.get(pointee, {}) and len(set(mine.values())) == len(mine) \
+                and all(_is(m, kind.members[k], PER_VERTEX.get(number, "")) for k, number in mine.items())
+            if not good:
+                m.fail(f"id {x}: a block that is not that of the built-ins of a vertex shader")
+            return {(storage, number) for number in mine.values()}
+        if BUILTIN not in marks:
+            return set()
+        number = marks[BUILTIN]
+        if number not in which or not _is(m, pointee, which[number]) or LOCATION in marks:
+            m.fail(f"id {x}: built-in {number}, which this stage has not, or not of this type")
+        if number == FRAG_DEPTH and REPLACES_DEPTH not in self.modes:
+            m.fail(f"id {x}: writes depth without execution mode DepthReplacing")
+        return {(storage, number)}
+
+    def _bind(self, x: int, marks: dict, kind: Type, bindings: dict) -> None:
+        m = self.m
         if marks.get(SET) != 0 or BINDING not in marks:
-            self.fail(f"id {x}: a descriptor needs set 0 and a binding")
+            m.fail(f"id {x}: a descriptor needs set 0 and a binding")
         number = marks[BINDING]
         if number in bindings:
-            self.fail(f"binding {number} is declared twice")
-        if kind.attachment and (stage != v.STAGE_FRAGMENT or ATTACHMENT not in marks):
-            self.fail(f"binding {number}: an input attachment needs an index, in a fragment shader")
+            m.fail(f"binding {number} is declared twice")
+        if kind.attachment != (ATTACHMENT in marks) or kind.attachment and m.stage != v.STAGE_FRAGMENT:
+            m.fail(f"binding {number}: an input attachment, and nothing else, needs an index, in a fragment shader")
         what = (v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER if kind.kind == "sampled" else
                 v.DESCRIPTOR_INPUT_ATTACHMENT if kind.attachment else v.DESCRIPTOR_SAMPLED_IMAGE)
         bindings[number] = what, kind.integer, marks[ATTACHMENT] if kind.attachment else -1
 
-    def _locate(self, x: int, marks: dict, kind: Type, side: dict, flat: bool) -> None:
-        at = marks.get(LOCATION)
+    def _locate(self, x: int, marks: dict, kind: Type, side: dict, where: tuple[int, int]) -> None:
+        m, at = self.m, marks.get(LOCATION)
         if at is None or at >= MAX_LOCATIONS:
-            self.fail(f"id {x}: an input or output at location {at}; 0 to {MAX_LOCATIONS - 1} are allowed")
+            m.fail(f"id {x}: an input or output at location {at}; 0 to {MAX_LOCATIONS - 1} are allowed")
         if at in side:
-            self.fail(f"location {at} is declared twice")
+            m.fail(f"location {at} is declared twice")
         if not kind.plain:
-            self.fail(f"location {at}: a scalar or vector of 32 bits is needed")
-        if flat and kind.kind != "float" and FLAT not in marks:
-            self.fail(f"location {at}: integers need Flat")
-        side[at] = kind.kind, kind.components
+            m.fail(f"location {at}: a scalar or vector of 32 bits is needed")
+        if where == (v.STAGE_FRAGMENT, INPUT) and kind.letter != "f" and FLAT not in marks:
+            m.fail(f"location {at}: integers need Flat")
+        if where in ((v.STAGE_VERTEX, INPUT), (v.STAGE_FRAGMENT, OUTPUT)) and marks.keys() & INTERPOLATED:
+            m.fail(f"location {at}: nothing is interpolated there")
+        side[at] = {"f": "float", "i": "int", "u": "uint"}[kind.letter], kind.components
+
+
+def _is(m: Module, x: int, want: str) -> bool:
+    """Whether a type is what a built-in is: a letter and how many, or an array of floats."""
+    kind = m.types[x]
+    if want == "array":
+        return kind.kind == "array" and m.types[kind.of].kind == "float"
+    return bool(want) and kind.letter in (want[0], "u" if want[0] == "i" else want[0]) and kind.components == int(want[1])
