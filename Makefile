@@ -1,8 +1,11 @@
 # On a fresh Debian 12, `make demo` and `make test` are all there is to know: both make .venv first, and apt what is missing.
 # Settings: PYTHON chooses the interpreter (3.10 or later), ARGS goes to pytest, APT_PACKAGES= leaves the system alone.
+# DRIVERS: which drivers `make test-drivers` fetches and runs on: quick, all (as it does by itself), everything, or names of
+# tests/drivers/catalog.py; `make test` with it runs on them beside the rest.
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
+DRIVERS ?=
 APT_PACKAGES ?= mesa-vulkan-drivers libvulkan1 glslang-tools spirv-tools vulkan-validationlayers python3-venv \
     gcc libc6-dev libvulkan-dev
 
@@ -10,17 +13,21 @@ READY := $(VENV)/.ready
 .ONESHELL:
 .SHELLFLAGS := -ec
 .DELETE_ON_ERROR:
-.PHONY: setup test test-full fuzz demo clean
+.PHONY: setup test test-full test-drivers fuzz demo clean
+export DRIVERS
 
 setup: $(READY)
 
 test: setup
 	$(VENV)/bin/ruff check
-	$(VENV)/bin/pytest -q $(ARGS)
+	$(VENV)/bin/pytest -q $(if $(DRIVERS),-m 'not full') $(ARGS)
 
 test-full: setup
 	$(VENV)/bin/ruff check
-	$(VENV)/bin/pytest -q -m 'full or not full' $(ARGS)
+	$(VENV)/bin/pytest -q -m 'not drivers' $(ARGS)
+
+test-drivers: setup
+	$(VENV)/bin/pytest -q -m drivers tests/test_drivers.py $(ARGS)
 
 fuzz: setup
 	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_bundle.py $(or $(MUTATIONS),200000) $(or $(SEED),0)

@@ -215,17 +215,27 @@ def write(name: str, device: str) -> int:
     data, steps = compiled(name)
     path = FOLDER / f"{name}.dressi"
     path.write_bytes(data)
-    record = []
     with runtime.load(path, device) as session:
-        for step in steps:
-            found = perform(session, step)
-            what, about, *rest = step
-            record.append({"do": what, "name": about, **({"count": rest[0]} if what == "step" else
-                                                         {"array": _plain(rest[0] if what == "set" else found)})})
+        record = recorded(session, steps)
+    return len(data) + write_record(path.with_suffix(".json"), VECTORS[name].__doc__, TOLERANCE[name], record)
+
+
+def recorded(session, steps: list) -> list[dict]:
+    """The steps done on a session, as they are kept."""
+    record = []
+    for step in steps:
+        found = perform(session, step)
+        what, about, *rest = step
+        record.append({"do": what, "name": about, **({"count": rest[0]} if what == "step" else
+                                                     {"array": _plain(rest[0] if what == "set" else found)})})
+    return record
+
+
+def write_record(path: Path, about: str, tolerance: float, record: list[dict]) -> int:
+    """The bytes of the JSON file."""
     lines = ",\n".join("  " + json.dumps(step) for step in record)
-    text = path.with_suffix(".json")
-    text.write_text(f'{{"about": {json.dumps(VECTORS[name].__doc__)}, "tolerance": {TOLERANCE[name]}, "steps": [\n{lines}\n]}}\n')
-    return len(data) + text.stat().st_size
+    path.write_text(f'{{"about": {json.dumps(about)}, "tolerance": {tolerance}, "steps": [\n{lines}\n]}}\n')
+    return path.stat().st_size
 
 
 def main() -> None:

@@ -5,8 +5,10 @@ Bundles are compiled once for the whole session, whichever module asks first.
 
 import pytest
 from corpus import scenes
+from drivers.catalog import CAPTURED
 
 from dressi_edge.cache.layout import Layout
+from dressi_edge.cache.profile import profile_names
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import dot, total
@@ -15,6 +17,8 @@ from dressi_edge.compiler.render.raster import Softness, rasterized
 from dressi_edge.compiler.render.topology import Topology
 
 SCENE = scenes()["icosphere"]
+# every profile; those of drivers that `make test-drivers` compiles for only in the long run
+NAMES = [pytest.param(name, marks=pytest.mark.full) if name in CAPTURED else name for name in profile_names()]
 
 
 def hardsoftras(layers: int) -> Program:

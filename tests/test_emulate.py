@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from profile_bundles import hardsoftras
+from profile_bundles import NAMES, hardsoftras
 
 from dressi_edge import runtime
 from dressi_edge.cache import bundle
@@ -38,7 +38,7 @@ def native(gpu, profile_bundle):
 # ---- what runs
 
 @pytest.mark.parametrize("layers", [1, 3])
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", NAMES)
 def test_every_profile_runs_its_bundle_and_gives_the_same_answer(gpu, profile_bundle, native, name, layers):
     with runtime.load(profile_bundle(name, layers), gpu.device, emulate=name) as session:
         found = {output: session.get(output) for output in OUTPUTS}

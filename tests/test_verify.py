@@ -10,6 +10,7 @@ import random
 import struct
 
 import pytest
+from profile_bundles import NAMES
 
 from dressi_edge.cache import bundle
 from dressi_edge.cache import vulkan as v
@@ -17,7 +18,7 @@ from dressi_edge.cache.bundle_check import check_description
 from dressi_edge.cache.errors import BundleError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.limits import LIMITS
-from dressi_edge.cache.profile import Profile, profile_names
+from dressi_edge.cache.profile import Profile
 from dressi_edge.cache.shader_check import check_shaders
 from dressi_edge.cache.spirv_interface import parse
 from dressi_edge.cache.verify import violations
@@ -47,7 +48,7 @@ def description(compiled):
 # ---- the compiler keeps its promises
 
 @pytest.mark.parametrize("layers", [1, 3])
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", NAMES)
 def test_what_is_compiled_for_a_profile_keeps_it(compiled, name, layers):
     b = compiled(name, layers)
     assert violations(b.description, Profile.load(name), b.interfaces) == []

@@ -54,14 +54,17 @@ COMMANDS = """
     CmdResetQueryPool CmdWriteTimestamp CmdBeginQuery CmdEndQuery
     CreateQueryPool DestroyQueryPool GetQueryPoolResults
     CreateFence DestroyFence ResetFences GetFenceStatus WaitForFences
+    GetPipelineExecutablePropertiesKHR GetPipelineExecutableStatisticsKHR
 """
 
 # Structs that no command names, because they travel in a pNext chain.
-CHAINED = ["VkPhysicalDeviceDriverProperties", "VkPhysicalDeviceIDProperties", "VkValidationFeaturesEXT"]
+CHAINED = ["VkPhysicalDeviceDriverProperties", "VkPhysicalDeviceIDProperties", "VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR",
+           "VkValidationFeaturesEXT"]
 
 # Constants that are not fields of a reached Vulkan 1.0 enum.
 EXTRA = [
     "VK_INSTANCE_CREATE_ENUMERATE_PORTABILITY_BIT_KHR",
+    "VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR",
     "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT",
 ]
 NUMBERS = """
@@ -70,7 +73,7 @@ NUMBERS = """
 """
 EXTENSIONS = """
     VK_EXT_debug_utils VK_EXT_validation_features VK_KHR_driver_properties VK_KHR_get_physical_device_properties2
-    VK_KHR_portability_enumeration VK_KHR_portability_subset
+    VK_KHR_pipeline_executable_properties VK_KHR_portability_enumeration VK_KHR_portability_subset
 """
 
 # Enums nobody reads by name here.
@@ -80,8 +83,8 @@ SKIPPED = {"VkStructureType", "VkObjectType", "VkSystemAllocationScope", "VkInte
 VERSIONS = {"VkResult": {"VK_VERSION_1_0", "VK_VERSION_1_1", "VK_VERSION_1_2"}}
 
 BASIC = {"uint32_t": "u32", "int32_t": "i32", "uint64_t": "u64", "float": "f32", "size_t": "usize", "char": "char",
-         "uint8_t": "u8", "VkBool32": "u32", "VkFlags": "u32", "VkDeviceSize": "u64", "VkSampleMask": "u32",
-         "VkDeviceAddress": "u64", "void": "void"}
+         "uint8_t": "u8", "int64_t": "i64", "double": "f64", "VkBool32": "u32", "VkFlags": "u32", "VkDeviceSize": "u64",
+         "VkSampleMask": "u32", "VkDeviceAddress": "u64", "void": "void"}
 
 PRELUDE = '''
 # ruff: noqa: RUF012
@@ -104,8 +107,10 @@ import sys
 from ctypes import CDLL, CFUNCTYPE, POINTER, Array, Structure, Union, _Pointer, cast, create_string_buffer, pointer, sizeof
 from ctypes import c_char as char
 from ctypes import c_char_p as text
+from ctypes import c_double as f64
 from ctypes import c_float as f32
 from ctypes import c_int32 as i32
+from ctypes import c_int64 as i64
 from ctypes import c_size_t as usize
 from ctypes import c_uint8 as u8
 from ctypes import c_uint32 as u32
@@ -248,7 +253,7 @@ def _enumerate(call, kind, function, *args):
     while True:
         count = u32()
         _check(function(*args, count, None) or 0, call)
-        out = (kind * count.value)()
+        out = (kind * count.value)(*([kind()] * count.value if getattr(kind, "_sType_", None) else ()))
         if _check(function(*args, count, out) or 0, call) != VK_INCOMPLETE:
             return out[:count.value]
 
@@ -443,7 +448,7 @@ class Generator:
                 before.append(f"{p.length} = sizeof({p.name})")
                 values.append(p.name)
                 inputs.append((p.name, False))
-            elif "*" in p.fullType and not p.const and not self.chained(p):
+            elif "*" in p.fullType and not p.const and (p.length or not self.chained(p)):
                 output = output or p
                 values.append(p.name)
             elif kind == "text":

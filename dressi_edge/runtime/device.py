@@ -103,6 +103,7 @@ class Device:
     limits                        VkPhysicalDeviceLimits: Khronos' name -> int, float or list
     features, enabled             Khronos' name -> supported; the names of those switched on
     extensions                    names of the device extensions that the driver has
+    statistics                    whether it keeps what its compiler says of pipelines: `commands/statistics.py`
     timestamp_period, timestamp_bits                   ns a tick; valid bits of a timestamp, 0 if the queue has none
     memory_types, heaps           [(flags, heap index)]; [(bytes, flags)]
     instance, physical, device, queue, queue_family    handles and the family's index; has_compute: it can dispatch
@@ -115,7 +116,7 @@ class Device:
         self._instance, self.instance, self.physical, self.messages = instance, instance.handle, physical, instance.messages
         self.device = self.queue = None
         self.lock, self.process = allocate_lock(), os.getpid()
-        self.queue_family, self.has_compute, self.timestamp_bits, self.enabled = -1, False, 0, ()
+        self.queue_family, self.has_compute, self.timestamp_bits, self.enabled, self.statistics = -1, False, 0, (), False
         properties = vk.GetPhysicalDeviceProperties(physical)
         self.name = properties.deviceName.decode(errors="replace")
         self.kind = KINDS.get(properties.deviceType, "other")
@@ -163,13 +164,14 @@ class Device:
             instance.close()
 
     @classmethod
-    def open(cls, select=None, *, validation=False, features=()):
+    def open(cls, select=None, *, validation=False, features=(), statistics=False):
         """Opens a device.
 
         select      an index, a part of the device's name in any case, or None for DRESSI_DEVICE or else the best there is:
                     discrete before integrated before virtual before cpu
         validation  loads the Khronos validation layer, with synchronization validation; see `messages`
         features    names of VkPhysicalDeviceFeatures to switch on; no other is
+        statistics  keep what the driver's compiler says of pipelines, where it says anything
 
         Raises DeviceError: no loader, driver or such device, no graphics queue, a feature it does not have.
         """
@@ -177,6 +179,7 @@ class Device:
         device = None
         try:
             device = cls._chosen(instance, select)
+            device.statistics = statistics and vk.VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME in device.extensions
             device._connect(tuple(features))
             return device
         except BaseException:
@@ -211,10 +214,14 @@ class Device:
                 raise DeviceError(f"feature {name} was asked for of {self.name}: {why}")
         self.enabled = features
         # a device that has it is not wholly conformant, and must be told that we know
-        subset = [name for name in [vk.VK_KHR_PORTABILITY_SUBSET_EXTENSION_NAME] if name in self.extensions]
+        extensions = [name for name in [vk.VK_KHR_PORTABILITY_SUBSET_EXTENSION_NAME] if name in self.extensions]
+        chain = None
+        if self.statistics:
+            extensions.append(vk.VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME)
+            chain = vk.VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR(pipelineExecutableInfo=vk.VK_TRUE)
         queues = [vk.VkDeviceQueueCreateInfo(queueFamilyIndex=self.queue_family, pQueuePriorities=[1.0])]
         self.device = vk.CreateDevice(self.physical, vk.VkDeviceCreateInfo(
-            pQueueCreateInfos=queues, ppEnabledExtensionNames=subset,
+            pNext=chain, pQueueCreateInfos=queues, ppEnabledExtensionNames=extensions,
             pEnabledFeatures=vk.VkPhysicalDeviceFeatures(**dict.fromkeys(features, vk.VK_TRUE))))
         self.queue = vk.GetDeviceQueue(self.device, self.queue_family, 0)
 

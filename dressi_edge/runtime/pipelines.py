@@ -68,6 +68,7 @@ class Pipelines:
         stages = [vk.VkPipelineShaderStageCreateInfo(stage=stage, module=self.modules[p[key]], pName="main")
                   for stage, key in ((v.STAGE_VERTEX, "vertex"), (v.STAGE_FRAGMENT, "fragment"))]
         info = vk.VkGraphicsPipelineCreateInfo(
+            flags=vk.VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR * self.device.statistics,
             pStages=stages, pVertexInputState=vk.VkPipelineVertexInputStateCreateInfo(),
             pInputAssemblyState=vk.VkPipelineInputAssemblyStateCreateInfo(topology=p["topology"]),
             pViewportState=vk.VkPipelineViewportStateCreateInfo(viewportCount=1, scissorCount=1),

@@ -18,8 +18,10 @@ import sys
 from ctypes import CDLL, CFUNCTYPE, POINTER, Array, Structure, Union, _Pointer, cast, create_string_buffer, pointer, sizeof
 from ctypes import c_char as char
 from ctypes import c_char_p as text
+from ctypes import c_double as f64
 from ctypes import c_float as f32
 from ctypes import c_int32 as i32
+from ctypes import c_int64 as i64
 from ctypes import c_size_t as usize
 from ctypes import c_uint8 as u8
 from ctypes import c_uint32 as u32
@@ -162,7 +164,7 @@ def _enumerate(call, kind, function, *args):
     while True:
         count = u32()
         _check(function(*args, count, None) or 0, call)
-        out = (kind * count.value)()
+        out = (kind * count.value)(*([kind()] * count.value if getattr(kind, "_sType_", None) else ()))
         if _check(function(*args, count, out) or 0, call) != VK_INCOMPLETE:
             return out[:count.value]
 
@@ -624,6 +626,11 @@ VK_PIPELINE_BIND_POINT_COMPUTE = 1
 VK_PIPELINE_CREATE_DISABLE_OPTIMIZATION_BIT = 1
 VK_PIPELINE_CREATE_ALLOW_DERIVATIVES_BIT = 2
 VK_PIPELINE_CREATE_DERIVATIVE_BIT = 4
+VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR = 64
+VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR = 0
+VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR = 1
+VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR = 2
+VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_FLOAT64_KHR = 3
 VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT = 1
 VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT = 2
 VK_PIPELINE_STAGE_VERTEX_INPUT_BIT = 4
@@ -786,14 +793,20 @@ VK_STRUCTURE_TYPE_BUFFER_MEMORY_BARRIER = 44
 VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER = 45
 VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO = 11
 VK_STRUCTURE_TYPE_FENCE_CREATE_INFO = 8
+VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR = 1000269001
+VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR = 1000269002
+VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR = 1000269003
+VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR = 1000269004
 VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES = 1000196000
 VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES = 1000071004
+VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR = 1000269000
 VK_STRUCTURE_TYPE_VALIDATION_FEATURES_EXT = 1000247000
 VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT = 4
 VK_EXT_DEBUG_UTILS_EXTENSION_NAME = "VK_EXT_debug_utils"
 VK_EXT_VALIDATION_FEATURES_EXTENSION_NAME = "VK_EXT_validation_features"
 VK_KHR_DRIVER_PROPERTIES_EXTENSION_NAME = "VK_KHR_driver_properties"
 VK_KHR_GET_PHYSICAL_DEVICE_PROPERTIES2_EXTENSION_NAME = "VK_KHR_get_physical_device_properties2"
+VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME = "VK_KHR_pipeline_executable_properties"
 VK_KHR_PORTABILITY_ENUMERATION_EXTENSION_NAME = "VK_KHR_portability_enumeration"
 VK_KHR_PORTABILITY_SUBSET_EXTENSION_NAME = "VK_KHR_portability_subset"
 RESULTS = {value: name for name, value in globals().items() if name.startswith("VK_ERROR_")}
@@ -1401,6 +1414,32 @@ class VkFenceCreateInfo(Struct):
     _fields_ = [("sType", i32), ("pNext", ptr), ("flags", u32)]
 
 
+class VkPipelineInfoKHR(Struct):
+    _sType_ = VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR
+    _fields_ = [("sType", i32), ("pNext", ptr), ("pipeline", u64)]
+
+
+class VkPipelineExecutablePropertiesKHR(Struct):
+    _sType_ = VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR
+    _fields_ = [("sType", i32), ("pNext", ptr), ("stages", u32), ("name", char * 256), ("description", char * 256),
+                ("subgroupSize", u32)]
+
+
+class VkPipelineExecutableInfoKHR(Struct):
+    _sType_ = VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR
+    _fields_ = [("sType", i32), ("pNext", ptr), ("pipeline", u64), ("executableIndex", u32)]
+
+
+class VkPipelineExecutableStatisticValueKHR(Variant):
+    _fields_ = [("b32", u32), ("i64", i64), ("u64", u64), ("f64", f64)]
+
+
+class VkPipelineExecutableStatisticKHR(Struct):
+    _sType_ = VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR
+    _fields_ = [("sType", i32), ("pNext", ptr), ("name", char * 256), ("description", char * 256), ("format", i32),
+                ("value", VkPipelineExecutableStatisticValueKHR)]
+
+
 class VkConformanceVersion(Struct):
     _fields_ = [("major", u8), ("minor", u8), ("subminor", u8), ("patch", u8)]
 
@@ -1415,6 +1454,11 @@ class VkPhysicalDeviceIDProperties(Struct):
     _sType_ = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES
     _fields_ = [("sType", i32), ("pNext", ptr), ("deviceUUID", u8 * 16), ("driverUUID", u8 * 16), ("deviceLUID", u8 * 8),
                 ("deviceNodeMask", u32), ("deviceLUIDValid", u32)]
+
+
+class VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR(Struct):
+    _sType_ = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PIPELINE_EXECUTABLE_PROPERTIES_FEATURES_KHR
+    _fields_ = [("sType", i32), ("pNext", ptr), ("pipelineExecutableInfo", u32)]
 
 
 class VkValidationFeaturesEXT(Struct):
@@ -1538,6 +1582,8 @@ _SIGNATURES = {
     "vkResetFences": "i32 handle u32 u64*",
     "vkGetFenceStatus": "i32 handle u64",
     "vkWaitForFences": "i32 handle u32 u64* u32 u64",
+    "vkGetPipelineExecutablePropertiesKHR": "i32 handle VkPipelineInfoKHR* u32* VkPipelineExecutablePropertiesKHR*",
+    "vkGetPipelineExecutableStatisticsKHR": "i32 handle VkPipelineExecutableInfoKHR* u32* VkPipelineExecutableStatisticKHR*",
 }
 
 
@@ -2130,3 +2176,13 @@ def WaitForFences(device, pFences, waitAll, timeout):
     pFences = array(u64, pFences)
     fenceCount = _count(pFences)
     return _check(_lib.vkWaitForFences(device, fenceCount, pFences, waitAll, timeout), "vkWaitForFences")
+
+
+def GetPipelineExecutablePropertiesKHR(instance, device, pPipelineInfo):
+    return _enumerate("vkGetPipelineExecutablePropertiesKHR", VkPipelineExecutablePropertiesKHR, _entry(instance,
+                      "vkGetPipelineExecutablePropertiesKHR"), device, pPipelineInfo)
+
+
+def GetPipelineExecutableStatisticsKHR(instance, device, pExecutableInfo):
+    return _enumerate("vkGetPipelineExecutableStatisticsKHR", VkPipelineExecutableStatisticKHR, _entry(instance,
+                      "vkGetPipelineExecutableStatisticsKHR"), device, pExecutableInfo)

@@ -1,0 +1,112 @@
+"""What a driver's compiler made of a bundle's shaders: registers, spills, waves, cycles, in the driver's own words and in ours.
+
+In: a device opened with `statistics=True` and a checked bundle. Out: `Compiled`, one a pipeline. Drivers tell by
+VK_KHR_pipeline_executable_properties, each with names of its own; NAMES says which of them mean the same.
+"""
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ..cache import vulkan as v
+from ..cache.errors import DeviceError
+from ..runtime import vk
+from ..runtime.pipelines import Pipelines
+
+# Ours -> the drivers' (RADV, Turnip, Honeykrisp, NVK, PanVK, V3DV, PowerVR), those of one driver added up.
+NAMES = {
+    "registers": ("VGPRs", "Registers used", "GPRs", "Number of GPRs"),
+    "spills": ("Spilled VGPRs", "Spilled SGPRs", "STP Count", "Spills", "Spills to memory"),
+    "waves": ("Subgroups per SIMD", "Max Waves Per Core", "Threads", "Max warps/SM"),
+    "instructions": ("Instructions", "Instruction Count", "Instruction count"),
+    "cycles": ("Inverse Throughput", "Cycles", "Static cycle count"),
+}
+LEAST = ("waves",)  # of several executables the least counts, of everything else the most
+
+
+class Place(NamedTuple):
+    """The first draw of a pipeline: plan, number of the stage and of the substage in it, size, vertices, pixels of its cells."""
+
+    plan: str
+    stage: int
+    substage: int
+    width: int
+    height: int
+    vertices: int
+    pixels: int
+
+    def __str__(self) -> str:
+        return f"{self.plan}[{self.stage}.{self.substage}] {self.width} x {self.height}"
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """One pipeline. place: where it is drawn, None if nowhere. ms: its creation. executables: (name, VkShaderStageFlags, the driver's
+    numbers), empty where it tells nothing."""
+
+    place: Place | None
+    ms: float
+    executables: tuple[tuple[str, int, dict[str, int | float]], ...]
+
+    def told(self, what: str) -> int | float | None:
+        """The number of that name of ours over all executables; None where the driver has none."""
+        found = [sum(numbers.values()) for _, _, told in self.executables
+                 if (numbers := {name: told[name] for name in NAMES[what] if name in told})]
+        return (min if what in LEAST else max)(found) if found else None
+
+
+def places(d: dict) -> dict[int, Place]:
+    """Pipeline number -> the first draw of it."""
+    found: dict[int, Place] = {}
+    for plan in d["plans"]:
+        for k, stage in enumerate(plan["stages"]):
+            for j, draws in enumerate(stage["subpasses"]):
+                for draw in draws:
+                    pixels = sum(cell[2] * cell[3] for cell in draw["cells"])
+                    found.setdefault(draw["pipeline"], Place(plan["name"], k, j, stage["width"], stage["height"], draw["vertices"], pixels))
+    return found
+
+
+class _Timed(Pipelines):
+    """Pipelines, and how long each took."""
+
+    def _pipeline(self, p: dict, layout: int, cache: int) -> int:
+        self.ms = getattr(self, "ms", [])
+        start = time.perf_counter()
+        made = super()._pipeline(p, layout, cache)
+        self.ms.append((time.perf_counter() - start) * 1e3)
+        return made
+
+
+def compiled(device, bundle) -> list[Compiled]:
+    """Every pipeline of the bundle (one variant), compiled on the device: no cache, no images. Raises DeviceError where the device cannot
+    make one."""
+    d = bundle.description
+    able = [f for f in d["depth_formats"] if device.format_features(f)[1] & vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT]
+    if not able and not all(image["format"] for image in d["images"]):
+        raise DeviceError(f"none of the depth formats {d['depth_formats']} is a depth attachment of {device.name}")
+    where = places(d)
+    made = _Timed(device, bundle, able[0] if able else 0)
+    try:
+        return [Compiled(where.get(k), ms, _executables(device, pipeline))
+                for k, (pipeline, ms) in enumerate(zip(made.pipelines, made.ms))]
+    finally:
+        made.close()
+
+
+def _executables(device, pipeline: int) -> tuple:
+    if not device.statistics:
+        return ()
+    properties = vk.GetPipelineExecutablePropertiesKHR(device.instance, device.device, vk.VkPipelineInfoKHR(pipeline=pipeline))
+    return tuple((p.name.decode(errors="replace"), p.stages, {s.name.decode(errors="replace"): _number(s)
+                  for s in vk.GetPipelineExecutableStatisticsKHR(device.instance, device.device, vk.VkPipelineExecutableInfoKHR(
+                      pipeline=pipeline, executableIndex=k))}) for k, p in enumerate(properties))
+
+
+def _number(s) -> int | float:
+    return (s.value.b32, s.value.i64, s.value.u64, s.value.f64)[s.format]
+
+
+def fragment(stages: int) -> bool:
+    return bool(stages & v.STAGE_FRAGMENT)

@@ -1,0 +1,115 @@
+"""Whole problems for every driver: what is compiled, what is done with it, what came out on lavapipe.
+
+    python -m tests.drivers.whole [DEVICE]    writes tests/drivers/whole/NAME.json anew
+
+In: CASES. Out: `write(name, profile, folder)`: NAME.dressi compiled for that profile, beside a copy of NAME.json, which has the
+layout of the test vectors' (`make_vectors.py`). Small images: what a driver's compiler makes of a shader does not depend on them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import make_vectors
+import numpy as np
+
+from dressi_edge import runtime
+from dressi_edge.cache.profile import Profile
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.shapes import icosphere
+from dressi_edge.compiler.io.views import Views
+from dressi_edge.compiler.render.optimizer import Adam, Sgd
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.render.shade import Light
+from dressi_edge.compiler.scene.problem import Loss, Problem
+
+FOLDER = Path(__file__).parent / "whole"
+SIZE, VIEWS, STEPS = 32, 2, 5
+LIGHTS = (Light("directional", (0.6, 0.6, 0.6), (0.3, -0.5, -0.8)), Light("point", (0.4, 0.3, 0.3), (1.0, 1.5, 2.0)),
+          Light("ambient", (0.2, 0.2, 0.2)))
+MESH_LOSSES = [Loss("laplacian", 0.05), Loss("normal_consistency", 0.01)]
+
+
+def _problem(**how) -> Problem:
+    ball = icosphere(1, 0.5)
+    mesh = Mesh(ball.positions, ball.faces, ball.uvs, ball.uv_faces)
+    views = Views(targets(), orbit(VIEWS, (20.0, -20.0), 2.5, 50.0, (SIZE, SIZE)), ("front", "back"))
+    return Problem(mesh, views, texture_size=(24, 16), **how)
+
+
+def silhouettes() -> Problem:
+    """Soft outlines of two views move the vertices."""
+    made = _problem(albedo="constant")
+    made.phase("fit", STEPS, {"vertices": Sgd(0.5, 0.9)}, [Loss("silhouette"), *MESH_LOSSES], Softness(2.0))
+    return made
+
+
+def colors3() -> Problem:
+    """Three depth layers of colours move vertices and their colours: the largest backward pass of all."""
+    made = _problem(albedo="colors")
+    made.phase("fit", STEPS, {"vertices": Adam(0.005), "colors": Adam(0.03)}, [Loss("silhouette"), Loss("color"), *MESH_LOSSES],
+               Softness(2.0, layers=3))
+    made.render(softness=Softness(2.0, layers=3))
+    return made
+
+
+def texture() -> Problem:
+    """A texture of a sphere that stays."""
+    made = _problem(albedo="texture")
+    made.phase("fit", STEPS, {"texture": Adam(0.03)}, [Loss("color")], Softness(2.0))
+    made.render(softness=Softness(2.0))
+    return made
+
+
+def lambert() -> Problem:
+    """Three kinds of light on a coloured sphere; vertices, colours, lights and poses move."""
+    made = _problem(albedo="colors", shading="lambert", lights=LIGHTS, srgb=True)
+    made.phase("fit", STEPS, {"vertices": Adam(0.005), "colors": Adam(0.03), "light0.vector": Adam(0.01), "rotation": Adam(0.001)},
+               [Loss("silhouette"), Loss("color", masked=True), *MESH_LOSSES], Softness(2.0, distance="face"))
+    made.render(softness=Softness(2.0, distance="face"))
+    return made
+
+
+CASES = {f.__name__: f for f in (silhouettes, colors3, texture, lambert)}
+# After steps. Adam, which makes a whole step of what is almost nothing, enlarges what rounding leaves. Silhouettes, lit by their outline
+# alone: on another grid of sub-pixels (SwiftShader's has 16 to a pixel, lavapipe's 256) other pixels are inside.
+TOLERANCE = {"silhouettes": 2e-2, "colors3": 5e-3, "texture": 5e-3, "lambert": 1e-2}
+
+
+def targets() -> np.ndarray:
+    """Two views of a disk with coloured quarters, (VIEWS, SIZE, SIZE, 4)."""
+    y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
+    image = np.stack([x * 0.5 + 0.5, y * 0.5 + 0.5, (x * y > 0) * 0.8, np.clip((0.7 - np.hypot(x, y)) * SIZE / 2, 0, 1)], -1)
+    return np.round(np.stack([image, image[:, ::-1] * [0.6, 1.0, 0.9, 1.0]]) * 255).astype(np.float32) / np.float32(255)
+
+
+def steps(name: str) -> list[tuple]:
+    """Loss, steps, loss, what was optimized."""
+    changed = {"silhouettes": ["vertices"], "colors3": ["vertices", "colors"], "texture": ["texture"],
+               "lambert": ["vertices", "colors", "light0.vector", "rotation"]}[name]
+    return [("get", "fit.loss"), ("step", "fit", STEPS), ("get", "fit.loss"), *(("get", x) for x in changed)]
+
+
+def write(name: str, profile: Profile | str, folder: Path) -> None:
+    """NAME.dressi and NAME.json in that folder."""
+    CASES[name]().compile(profile, folder / f"{name}.dressi")
+    shutil.copy(FOLDER / f"{name}.json", folder)
+
+
+def main() -> None:
+    FOLDER.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        for name, make in CASES.items():
+            path = Path(temporary) / f"{name}.dressi"
+            make().compile("lavapipe", path)
+            with runtime.load(path, sys.argv[1] if sys.argv[1:] else "llvmpipe") as session:
+                record = make_vectors.recorded(session, steps(name))
+            print(name, make_vectors.write_record(FOLDER / f"{name}.json", make.__doc__, TOLERANCE[name], record), "bytes")
+
+
+if __name__ == "__main__":
+    main()
