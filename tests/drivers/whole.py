@@ -22,9 +22,9 @@ from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.io.views import Views
+from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
 from dressi_edge.compiler.render.raster import Softness
-from dressi_edge.compiler.render.shade import Light
 from dressi_edge.compiler.scene.problem import Loss, Problem
 
 FOLDER = Path(__file__).parent / "whole"
