@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import re
 import warnings
@@ -145,3 +146,22 @@ def _area_weights(n: int, m: int) -> np.ndarray:
     low, high = np.arange(m)[:, None] * n / m, (np.arange(m)[:, None] + 1) * n / m
     pixel = np.arange(n)[None, :]
     return np.clip(np.minimum(high, pixel + 1) - np.maximum(low, pixel), 0.0, None) * m / n
+
+
+def to_bytes(image: np.ndarray) -> np.ndarray:
+    """uint8 of an image in [0, 1]: (h, w), (h, w, 1), (h, w, 3) or (h, w, 4), as PIL takes it; clipped, NaN becomes 0."""
+    image = np.asarray(image)
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or image.size == 0:
+        raise InputError(f"image has shape {image.shape}; it must be (h, w), or (h, w, c) with 1, 3 or 4 channels")
+    if image.dtype != np.uint8:
+        image = np.rint(np.clip(np.nan_to_num(image.astype(np.float64), nan=0.0), 0.0, 1.0) * 255.0).astype(np.uint8)
+    return image[..., 0] if image.shape[2] == 1 else image
+
+
+def png_bytes(image: np.ndarray) -> bytes:
+    """An image in [0, 1] as PNG of 8 bits, values as given."""
+    data = io.BytesIO()
+    Image.fromarray(to_bytes(image)).save(data, format="PNG")
+    return data.getvalue()

@@ -1,263 +1,252 @@
-"""Meshes: files and recipes in; one frozen, checked `Mesh` out.
+"""Mesh files: OBJ, PLY, STL, OFF, glTF in; one `Mesh`, or `Part`s with their materials, out.
 
-Topology is by position: two corners at exactly the same point are one vertex, whatever their uvs or normals. Uvs have faces
-of their own, so a seam costs no vertex. v is down: texel row j of an image of height h has its centre at v = (j + 0.5) / h.
-(OBJ keeps v up, glTF keeps it down, trimesh hands out v up for both.)
+What a file names has arrived, is applied, or is named in an InputError (where the result would be wrong without it) or in an
+InputWarning (where it would only be poorer). Vertices at exactly the same position are one vertex, in the order in which the file has
+them first, those that no face uses too; `Mesh.vertex_map` says which is which where that makes them fewer.
 """
-
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from PIL import Image
 
 from ...cache.errors import InputError
-from ...cache.layout import beyond_fp32
-from .images import linear_to_srgb, opened, srgb_to_linear
+from .bake import Surface, baked
+from .gltf import read_gltf
+from .images import linear_to_srgb, srgb_to_linear
+from .materials import Part
+from .mesh import Mesh, face_normals, unique_rows
+from .obj import read_obj
+from .pieces import MAX_BYTES, Corners, Piece, Pieces, listed, warn
+from .plain import read_off, read_stl
+from .ply import read_ply
+from .textures import load_texture
 
-
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    """A triangle mesh; arrays are copied, checked and read-only.
-
-    positions: (V, 3) float64 in the range of fp32, any unit. faces: (F, 3) int32.
-    uvs: (T, 2) float64, v down, and uv_faces: (F, 3) int32, both or neither.
-    colors: (V, 3) float64 in [0, 1], as stored. texture: (h, w, 3) float64 in [0, 1], sRGB encoded, row 0 at v = 0.
-    Raises InputError for anything else.
-    """
-
-    positions: np.ndarray
-    faces: np.ndarray
-    uvs: np.ndarray | None = None
-    uv_faces: np.ndarray | None = None
-    colors: np.ndarray | None = None
-    texture: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        check_mesh(self)
-        for name in ("positions", "faces", "uvs", "uv_faces", "colors", "texture"):
-            value = getattr(self, name)
-            if value is not None:
-                value = np.array(value, dtype=np.int32 if name.endswith("faces") else np.float64, order="C")
-                value.setflags(write=False)
-            object.__setattr__(self, name, value)
-
-
-def check_mesh(mesh: Mesh) -> None:
-    """Raises InputError unless shapes, types, values and indices are those `Mesh` states."""
-    positions = _floats("positions", mesh.positions, (None, 3))
-    _indices("faces", mesh.faces, len(positions), "vertices")
-    if (mesh.uvs is None) != (mesh.uv_faces is None):
-        given, missing = ("uv_faces", "uvs") if mesh.uvs is None else ("uvs", "uv_faces")
-        raise InputError(f"mesh has {given} but no {missing}; give both or neither")
-    if mesh.uvs is not None:
-        uvs = _floats("uvs", mesh.uvs, (None, 2))
-        _indices("uv_faces", mesh.uv_faces, len(uvs), "uvs")
-        if len(mesh.uv_faces) != len(mesh.faces):
-            raise InputError(f"mesh has {len(mesh.uv_faces)} uv_faces for {len(mesh.faces)} faces; give one for each face")
-    if mesh.colors is not None:
-        _floats("colors", mesh.colors, (len(positions), 3), unit=True)
-    if mesh.texture is not None:
-        _floats("texture", mesh.texture, (None, None, 3), unit=True)
-
-
-def _floats(name: str, value: np.ndarray, shape: tuple[int | None, ...], unit: bool = False) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"mesh {name} is not an array of numbers: {error}") from None
-    fits = array.ndim == len(shape) and all(want in (None, found) for want, found in zip(shape, array.shape, strict=True))
-    if not fits or array.size == 0:
-        wanted = ", ".join("n" if n is None else str(n) for n in shape)
-        raise InputError(f"mesh {name} has shape {array.shape}; it must be ({wanted}), n at least 1")
-    bad = beyond_fp32(array) if not unit else ~((array >= 0.0) & (array <= 1.0))
-    if bad.any():
-        row = tuple(int(i) for i in np.argwhere(bad)[0])
-        large = np.isfinite(array[row])
-        allowed = ("values in [0, 1]; scale or clip them" if unit else "magnitudes up to 3.4e38, those of fp32; scale it" if large else
-                   "finite values; repair or drop it")
-        raise InputError(f"mesh {name}[{row[0]}] has the value {array[row]}; allowed are {allowed}")
-    return array
-
-
-def _indices(name: str, value: np.ndarray, count: int, of: str) -> None:
-    array = np.asarray(value)
-    if array.ndim != 2 or array.shape[1] != 3 or not np.issubdtype(array.dtype, np.integer):
-        raise InputError(f"mesh {name} is {array.dtype} of shape {array.shape}; it must be integers of shape (n, 3)")
-    if len(array) == 0:
-        raise InputError(f"mesh {name} is empty; a mesh needs at least one face")
-    bad = ((array < 0) | (array >= count)).any(axis=1)
-    if bad.any():
-        face = int(np.flatnonzero(bad)[0])
-        raise InputError(f"mesh {name}[{face}] is {array[face].tolist()}, but there are {count} {of}, 0 to {count - 1}; "
-                         "repair or drop that face")
+READERS = {".obj": read_obj, ".ply": read_ply, ".stl": read_stl, ".off": read_off, ".glb": read_gltf, ".gltf": read_gltf}
 
 
 def load_mesh(path: str | Path, texture: str | Path | None = None) -> Mesh:
-    """The mesh of a file in any format that trimesh reads; a scene (glTF) is flattened with its transforms.
+    """All of a mesh file as one mesh, with one texture or with colours; a scene is flattened with its transforms.
 
-    Vertices at exactly the same position are merged, in order of first use; faces that have two corners left are dropped.
-    Uvs are kept where every part has them, and the base colour image with its glTF factor; `texture` names an image to use
-    instead. Raises InputError, naming the file, where the result is no `Mesh`.
+    Colours of materials are corner colours where nothing has a texture. Where something has, all of it is one texture: the file's own
+    if that says it all, else an atlas of its pictures and colours (`bake.py`). `texture` names an image to use instead of all that.
+    Faces of which two corners are at one position are dropped. Raises InputError, naming the file; warns of what it leaves out.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"mesh file {path} does not exist; check the path")
-    if path.suffix.lower() == ".obj":
-        _check_obj_indices(path)
+    pieces = load_pieces(path)
     try:
-        parts = _parts(trimesh.load_scene(str(path), process=False))
-    except Exception as error:  # readers raise anything on a broken file
-        known = ", ".join(sorted({"obj", "ply", "stl", "off", "glb", "gltf"} & set(trimesh.available_formats())))
-        raise InputError(f"mesh file {path} cannot be read ({type(error).__name__}: {error}); "
-                         f"readable are {known} and what else trimesh reads; convert or repair it") from error
-    if not parts or not sum(len(part.faces) for part in parts):
-        raise InputError(f"mesh file {path} has no faces; a mesh needs at least one triangle")
-    try:
-        mesh = _joined(parts)
+        mesh = _joined(path, pieces, given=texture is not None)
         return mesh if texture is None else replace(mesh, texture=load_texture(texture))
     except InputError as error:
+        raise error if str(error).startswith(str(path)) else InputError(f"{path}: {error}") from None
+
+
+def load_parts(path: str | Path) -> tuple[Part, ...]:
+    """The parts of a mesh file with their materials: one for each primitive of glTF's nodes, object and material of OBJ, texture of PLY.
+
+    Vertices are merged within each part, not between parts; those that no part uses are left. A missing picture of a base colour is an
+    InputError, other missing ones are warned of and dropped.
+    """
+    path = Path(path)
+    pieces = load_pieces(path)
+    try:
+        return tuple(_part(path, pieces, k) for k in range(len(pieces.pieces)))
+    except InputError as error:
+        raise error if str(error).startswith(str(path)) else InputError(f"{path}: {error}") from None
+
+
+def load_pieces(path: Path) -> Pieces:
+    """What the reader for the file's extension gives, with faces of at least one triangle; all arrays checked."""
+    if not path.is_file():
+        raise InputError(f"mesh file {path} does not exist; check the path")
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"mesh file {path} cannot be read: extension {path.suffix or 'none'} is unknown; readable are "
+                         f"{' '.join(READERS)}; convert it")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"mesh file {path} has {path.stat().st_size} bytes; at most {MAX_BYTES} are allowed; simplify it")
+        pieces = reader(path, path.read_bytes())
+    except OSError as error:
+        raise InputError(f"mesh file {path} cannot be read: {error.strerror or error}; check it") from None
+    except MemoryError:
+        raise InputError(f"mesh file {path} needs more memory than there is; simplify it") from None
+    pieces = Pieces(pieces.positions, tuple(piece for piece in pieces.pieces if len(piece.faces)))
+    if not pieces.pieces:
+        raise InputError(f"mesh file {path} has no faces; a mesh needs at least one triangle")
+    try:
+        for piece in pieces.pieces:  # names what is wrong by the file's own numbers, before anything is merged
+            Mesh(pieces.positions, piece.faces)
+            for values, faces in piece.uvs.values():
+                Mesh(pieces.positions, piece.faces, values, faces)
+    except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    return pieces
 
 
-def load_texture(path: str | Path) -> np.ndarray:
-    """An image file as a texture (h, w, 3) float64 in [0, 1], as stored; alpha is dropped."""
-    with opened(path, "texture", "give a PNG or JPEG file") as image:
-        return _texels(image)
+def _merged(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """`first` of each position, in order, and the map from all of them; None where no two are the same."""
+    first, where = unique_rows(positions)
+    return first, None if len(first) == len(positions) else where
 
 
-def _texels(image: Image.Image) -> np.ndarray:
-    return np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0
-
-
-def _check_obj_indices(path: Path) -> None:
-    """Names the line of the first face that points past the end, which trimesh reports as a bare IndexError or ignores."""
-    counts = {"v": 0, "vt": 0}
-    faces: list[tuple[int, dict[str, int], list[str]]] = []
-    with path.open(encoding="utf-8", errors="replace") as lines:
-        for number, line in enumerate(lines, 1):
-            words = line.split()
-            if not words:
-                continue
-            if words[0] in counts:
-                counts[words[0]] += 1
-            elif words[0] == "f":
-                faces.append((number, dict(counts), words[1:]) if "-" in line else (number, counts, words[1:]))
-    for number, before, corners in faces:
-        for corner in corners:
-            if corner.startswith(("#", "\\")):  # a comment, or the line goes on
-                break
-            for kind, word in zip(("v", "vt"), corner.split("/"), strict=False):
-                if not word:
-                    continue
-                try:
-                    index = int(word)
-                except ValueError:
-                    raise InputError(f"{path} line {number}: face corner {corner!r} is no v/vt/vn index") from None
-                if index == 0 or index > counts[kind] or -index > before[kind]:
-                    raise InputError(f"{path} line {number}: a face names {kind} {index}, but there are {counts[kind]} "
-                                     f"({kind} 1 to {counts[kind]}); repair or drop that face")
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """One piece of a scene, in world space, as trimesh reads it: one uv and one colour a vertex."""
-
-    positions: np.ndarray
-    faces: np.ndarray
-    uvs: np.ndarray | None
-    colors: np.ndarray | None
-    image: Image.Image | None
-    factor: tuple[float, ...]
-
-
-def _parts(scene: trimesh.Scene) -> list[_Part]:
-    parts = []
-    for node in scene.graph.nodes_geometry:
-        transform, name = scene.graph[node]
-        geometry = scene.geometry[name]
-        if not isinstance(geometry, trimesh.Trimesh):
-            continue
-        positions = np.asarray(geometry.vertices, np.float64)
-        faces = np.asarray(geometry.faces, np.int64)
-        if not np.array_equal(transform, np.eye(4)):
-            positions = positions @ transform[:3, :3].T + transform[:3, 3]
-        if np.linalg.det(transform[:3, :3]) < 0.0:
-            faces = faces[:, ::-1]  # a mirror turns faces inside out
-        visual = geometry.visual
-        material = getattr(visual, "material", None)
-        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-        if image is not None and image.format is None and image.size == (2, 2):
-            image = None  # trimesh's stand-in where a part has uvs and no material
-        factor = getattr(material, "baseColorFactor", None)
-        uvs = getattr(visual, "uv", None)
-        colors = visual.vertex_colors if visual.kind == "vertex" else None
-        if visual.kind == "texture":
-            colors = visual.vertex_attributes.get("color")
-        if colors is not None:
-            colors = np.asarray(colors)
-            top = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
-            colors = colors[:, :3] / top
-        parts.append(_Part(
-            positions, faces, None if uvs is None else np.asarray(uvs, np.float64)[:, :2] * (1, -1) + (0, 1), colors, image,
-            (1.0, 1.0, 1.0) if factor is None else tuple(np.asarray(factor)[:3] / 255.0)))
-    return parts
-
-
-def _joined(parts: list[_Part]) -> Mesh:
-    def stacked(arrays: list[np.ndarray | None]) -> np.ndarray | None:
-        return None if any(array is None for array in arrays) else np.concatenate(arrays)
-
-    offsets = np.cumsum([0] + [len(part.positions) for part in parts])
-    positions = np.concatenate([part.positions for part in parts])
-    faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=False)])
-    Mesh(positions, faces)  # name bad positions and faces by the file's own numbers, before anything is merged
-    uvs, colors = stacked([part.uvs for part in parts]), stacked([part.colors for part in parts])
-
-    used = faces.reshape(-1)
-    first, inverse = unique_rows(positions[used])
-    merged = inverse.reshape(-1, 3)
-    solid = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
+def _solid(faces: np.ndarray) -> np.ndarray:
+    """Which faces have three different corners. Raises InputError where none has."""
+    solid = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     if not solid.any():
         raise InputError("no face has three different corners; a mesh needs at least one triangle")
-    mesh = Mesh(positions[used][first], merged[solid], colors=None if colors is None else colors[used][first])
-    if uvs is None:
+    return solid
+
+
+def _joined(path: Path, pieces: Pieces, given: bool) -> Mesh:
+    first, where = _merged(pieces.positions)
+    parts = [piece if where is None else replace(piece, faces=where[piece.faces]) for piece in pieces.pieces]
+    solid = _solid(np.concatenate([part.faces for part in parts]))
+    keep = np.split(solid, np.cumsum([len(part.faces) for part in parts])[:-1])
+    parts = [part.taken(k) for part, k in zip(parts, keep, strict=True) if k.any()]
+    faces = np.concatenate([part.faces for part in parts])
+    mesh = Mesh(pieces.positions[first], faces, vertex_map=where)
+    mesh = _with_normals(mesh, parts)
+    textured = [not given and part.material.base_texture is not None and _uv_of(part) is not None for part in parts]
+    if lacking := [part.name for part, drawn in zip(parts, textured) if not given and part.material.base_texture and not drawn]:
+        warn(f"{path}: {listed(lacking)}: no texture coordinates for the base colour texture; it is left out")
+    if any(textured):
+        surfaces = [Surface(_uv_of(part), part.material.base_texture, part.material.base_color[:3], None, len(part.faces)) if drawn else
+                    Surface(None, None, (1.0, 1.0, 1.0), _stated_colors(part), len(part.faces)) for part, drawn in zip(parts, textured)]
+        mesh = replace(mesh, **baked(surfaces))
+        if multiplied := [part.name for part, drawn in zip(parts, textured) if drawn and part.colors is not None
+                          and (part.colors[0][part.colors[1]] < 1.0).any()]:
+            warn(f"{path}: {listed(multiplied)}: colours of vertices, which multiply the texture, are left out")
+    else:
+        stated = [_stated_colors(part) for part in parts]
+        if any(colors is not None for colors in stated):
+            white = [(np.ones((1, 3)), np.zeros_like(part.faces)) for part in parts]
+            mesh = _with_colors(mesh, [w if colors is None else colors for colors, w in zip(stated, white)])
+        uvs = [_uv_of(part) for part in parts]
+        if all(uv is not None for uv in uvs):
+            mesh = replace(mesh, **_compact("uvs", "uv_faces", uvs))
+    _warn_of_more(path, parts)
+    orders = [part.order for part in parts]
+    return mesh if any(order is None for order in orders) or len(parts) == 1 else _reordered(mesh, np.argsort(np.concatenate(orders)))
+
+
+def _reordered(mesh: Mesh, order: np.ndarray) -> Mesh:
+    """The mesh with its faces in the order of the file."""
+    named = {name: getattr(mesh, name) for name in ("faces", "uv_faces", "color_faces", "normal_faces")}
+    return replace(mesh, **{name: faces[order] for name, faces in named.items() if faces is not None})
+
+
+def _uv_of(piece: Piece) -> Corners | None:
+    """The texture coordinates of the piece's base colour texture, or its first."""
+    base = piece.material.base_texture
+    if base is None:
+        return piece.uvs[min(piece.uvs)] if piece.uvs else None
+    found = piece.uvs.get(base.uv_set)
+    return None if found is None else (base.applied(found[0]), found[1])
+
+
+def _stated_colors(piece: Piece) -> Corners | None:
+    """Colours of corners times the material's, sRGB encoded; None where the file states neither."""
+    factor = np.array(piece.material.base_color[:3])
+    if piece.colors is None:
+        return (linear_to_srgb(factor)[None], np.zeros_like(piece.faces)) if piece.material.stated else None
+    if (factor == 1.0).all():
+        return piece.colors
+    return linear_to_srgb(srgb_to_linear(piece.colors[0]) * factor), piece.colors[1]
+
+
+def _stacked(corners: Sequence[Corners]) -> Corners:
+    starts = np.cumsum([0] + [len(values) for values, _ in corners])
+    return (np.concatenate([values for values, _ in corners]),
+            np.concatenate([faces + start for (_, faces), start in zip(corners, starts)]))
+
+
+def _compact(values: str, faces: str, corners: Sequence[Corners]) -> dict[str, np.ndarray]:
+    """Those of the values that are used, each once, in the order of the file."""
+    found, index = _stacked(corners)
+    used, inverse = np.unique(index.reshape(-1), return_inverse=True)
+    first, where = unique_rows(found[used])
+    return {values: found[used][first], faces: where[inverse.reshape(-1)].reshape(-1, 3)}
+
+
+def _with_normals(mesh: Mesh, parts: Sequence[Piece]) -> Mesh:
+    """The mesh with normals where any part has some; the face's own for corners without."""
+    if all(part.normals is None for part in parts):
         return mesh
-    uv_first, uv_inverse = unique_rows(uvs[used])
-    return replace(mesh, uvs=uvs[used][uv_first], uv_faces=uv_inverse.reshape(-1, 3)[solid], texture=_texture(parts))
-
-
-def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`first` picks each distinct row once, in order of appearance; `inverse` rebuilds: rows == rows[first][inverse]."""
-    _, first, inverse = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)  # + 0.0: -0.0 is 0.0
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[inverse.reshape(-1)]
-
-
-def _texture(parts: list[_Part]) -> np.ndarray | None:
-    """The one base colour image of all parts, times its factor (which is linear, glTF 2.0 section 3.9.2)."""
-    looks = []
+    own = np.repeat(face_normals(mesh.positions, mesh.faces)[:, None], 3, axis=1)
+    start = 0
     for part in parts:
-        look = None if part.image is None else _texels(part.image)
-        if look is not None and min(part.factor) < 1.0:
-            look = np.clip(linear_to_srgb(srgb_to_linear(look) * part.factor), 0.0, 1.0)
-        if not any(look is seen or (look is not None and seen is not None and np.array_equal(look, seen)) for seen in looks):
-            looks.append(look)
-    if len(looks) > 1:
-        raise InputError(f"the parts have {len(looks)} different base colours or textures; one image for all is allowed; "
-                         "bake them into one, or load the parts from files of their own")
-    return looks[0]
+        rows = slice(start, start := start + len(part.faces))
+        if part.normals is not None:
+            given = part.normals[0][part.normals[1]]
+            length = np.linalg.norm(given, axis=-1, keepdims=True)
+            there = np.isfinite(length) & (length > 0.0)
+            own[rows] = np.where(there, given / np.where(there, length, 1.0), own[rows])
+    corners = np.arange(3 * len(own)).reshape(-1, 3)
+    return replace(mesh, **_compact("normals", "normal_faces", [(own.reshape(-1, 3), corners)]))
+
+
+def _with_colors(mesh: Mesh, colors: Sequence[Corners]) -> Mesh:
+    """The mesh with colours of all faces: one for each vertex, or for each vertex and colour where corners at one vertex differ."""
+    corners = np.concatenate([found[0][found[1]] for found in colors]).reshape(-1, 3)
+    vertices = mesh.faces.reshape(-1)
+    order = np.argsort(vertices, kind="stable")
+    first, inverse = unique_rows(np.concatenate([vertices[order, None].astype(np.float64), corners[order]], axis=1))
+    of_vertex, entries = vertices[order][first], corners[order][first]
+    if len(np.unique(of_vertex)) < len(of_vertex):
+        index = np.empty(len(vertices), np.int64)
+        index[order] = inverse
+        return replace(mesh, colors=entries, color_faces=index.reshape(-1, 3))
+    whole = np.ones_like(mesh.positions)
+    whole[of_vertex] = entries
+    return replace(mesh, colors=whole)
+
+
+def _part(path: Path, pieces: Pieces, k: int) -> Part:
+    piece, base = pieces.pieces[k], pieces.pieces[k].material.base_texture
+    chosen = np.arange(*piece.vertices) if piece.vertices else np.arange(len(pieces.positions)) if len(pieces.pieces) == 1 \
+        else np.unique(piece.faces)
+    first, where = _merged(pieces.positions[chosen])
+    local = np.zeros(len(pieces.positions), np.int64)
+    local[chosen] = np.arange(len(chosen)) if where is None else where
+    piece = replace(piece, faces=local[piece.faces])
+    piece = piece.taken(_solid(piece.faces))
+    mesh = _with_normals(Mesh(pieces.positions[chosen][first], piece.faces, vertex_map=where), [piece])
+    mesh = mesh if piece.colors is None else _with_colors(mesh, [piece.colors])
+    uv = _uv_of(piece)
+    if uv is not None:
+        mesh = replace(mesh, **_compact("uvs", "uv_faces", [uv]))
+    if base is not None:
+        if uv is None:
+            warn(f"{path}: {piece.name}: no texture coordinates for the base colour texture; it is left out")
+            piece = replace(piece, material=replace(piece.material, base_texture=None))
+        else:
+            wrap = base.wrap[0] if base.wrap in (("repeat",) * 2, ("clamp",) * 2) else "repeat"
+            mesh = replace(mesh, texture=base.picture.texels()[..., :3], wrap=wrap)
+    missing = [name for name, found in piece.material.extra_maps.items() if found.picture.source is None]
+    if missing:
+        warn(f"{path}: {piece.name}: the pictures of {listed(missing)} do not exist; they are left out")
+    material = replace(piece.material, **{name.replace("-", "_") + "_texture": None for name in missing})
+    return Part(piece.name, mesh, material, dict(piece.uvs))
+
+
+def _warn_of_more(path: Path, parts: Sequence[Piece]) -> None:
+    """One line about what materials have and one mesh has not."""
+    maps = [name for part in parts for name in part.material.extra_maps]
+    if maps:
+        warn(f"{path}: {listed(maps)} maps are not used by a single mesh")
+    clear = [part.material.name or part.name for part in parts if part.material.alpha_mode != "OPAQUE"]
+    if clear:
+        warn(f"{path}: {listed(clear)}: transparency is not drawn")
 
 
 def normalize(mesh: Mesh, radius: float = 1.0) -> Mesh:
-    """The mesh moved so that its bounding box is centred on the origin and its furthest vertex is at `radius`."""
-    positions = mesh.positions - (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0
-    size = float(np.linalg.norm(positions, axis=1).max())
+    """The mesh moved so that the bounding box of what its faces use is centred on the origin, the furthest of it at `radius`."""
+    used = mesh.positions[np.unique(mesh.faces)]
+    centre = (used.min(axis=0) + used.max(axis=0)) / 2.0
+    size = float(np.linalg.norm(used - centre, axis=1).max())
     if size == 0.0:
         raise InputError("mesh has all its vertices in one point; it cannot be scaled into a ball")
-    return replace(mesh, positions=positions * (radius / size))
+    return replace(mesh, positions=(mesh.positions - centre) * (radius / size))

@@ -5,7 +5,8 @@ import numpy as np
 
 from ...cache.errors import InputError
 from .charts import cube_charts, texel_directions
-from .meshes import Mesh, normalize, unique_rows
+from .mesh import Mesh, unique_rows
+from .meshes import normalize
 
 
 def icosphere(subdivisions: int, radius: float = 1.0) -> Mesh:

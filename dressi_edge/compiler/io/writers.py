@@ -5,19 +5,23 @@ Every file appears whole or not at all.
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
 from ...cache.errors import InputError
 from ...cache.files import replace_file
-from .meshes import Mesh
+from .images import png_bytes, to_bytes
+from .materials import Material, Part
+from .mesh import Mesh
+from .write_gltf import encode_gltf
+from .write_obj import encode_obj
+from .write_ply import encode_ply
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 BACKGROUND = 0.85  # light grey below transparent images, so that white and black both show
@@ -45,92 +49,40 @@ def save_json(path: str | Path, value: Mapping) -> None:
     write_bytes(path, text.encode() + b"\n")
 
 
-def save_mesh(path: str | Path, mesh: Mesh) -> None:
-    """Writes .glb or .gltf (texture embedded, vertices split at uv seams), .obj (with .mtl and .png beside it when there is a
-    texture) or .ply (positions, faces and colours; no uvs). glTF holds the texture or, without one, the colours."""
+def save_mesh(path: str | Path, mesh: Mesh, unlit: bool = False) -> None:
+    """Writes a mesh as .glb or .gltf (its texture inside), .obj (with .mtl and .png beside it when there is a texture) or .ply (positions,
+    faces and colours; no uvs). Vertices keep their order and count; those that must be split, at seams, follow after the last.
+
+    glTF holds the texture or, without one, the colours. unlit: it says that they are what one sees (KHR_materials_unlit); else they are
+    those of a diffuse surface.
+    """
+    if Path(path).suffix.lower() in (".glb", ".gltf") and mesh.texture is not None and mesh.uvs is not None:
+        mesh = replace(mesh, colors=None, color_faces=None)  # they would multiply the texture
+    save_parts(path, [Part("surface", mesh, Material("surface", unlit=unlit))])
+
+
+def save_parts(path: str | Path, parts: Sequence[Part]) -> None:
+    """Writes parts with their materials, as `save_mesh` does; `Part.mesh` has the base colour's uvs and texels. OBJ has base colours,
+    emission and the PBR extension; PLY has base colours as colours of vertices."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
         raise InputError(f"cannot write mesh {path}: extension {suffix or 'none'} is unknown; "
                          f"known are {', '.join(MESH_SUFFIXES)}")
+    if not parts:
+        raise InputError(f"cannot write mesh {path}: there is no part; give at least one")
     if suffix == ".obj":
-        if mesh.texture is not None and mesh.uvs is not None:  # what the OBJ names is there before it
-            save_png(path.with_suffix(".png"), mesh.texture)
-            write_bytes(path.with_suffix(".mtl"),
-                        f"newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {path.stem}.png\n".encode())
-        write_bytes(path, _obj(mesh, path.stem).encode())
+        for name, data in encode_obj(parts, path.stem).items():  # what the OBJ names is there before it
+            write_bytes(path.with_name(name), data)
     elif suffix == ".ply":
-        out = trimesh.Trimesh(mesh.positions, mesh.faces, process=False, vertex_colors=_byte_colors(mesh))
-        write_bytes(path, out.export(file_type="ply"))
-    elif suffix == ".glb":
-        write_bytes(path, _split(mesh).export(file_type="glb"))
+        write_bytes(path, encode_ply(parts))
     else:
-        files = trimesh.exchange.gltf.export_gltf(_split(mesh).scene(), embed_buffers=True, merge_buffers=True)
-        write_bytes(path, files["model.gltf"])
-
-
-def _byte_colors(mesh: Mesh) -> np.ndarray | None:
-    return None if mesh.colors is None else np.rint(mesh.colors * 255.0).astype(np.uint8)
-
-
-def _obj(mesh: Mesh, stem: str) -> str:
-    lines = [f"mtllib {stem}.mtl"] if mesh.texture is not None and mesh.uvs is not None else []
-    rows = mesh.positions if mesh.colors is None else np.concatenate([mesh.positions, mesh.colors], axis=1)
-    lines += ["v " + " ".join(f"{x:.9g}" for x in row) for row in rows.tolist()]
-    if mesh.uvs is None:
-        lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-        return "\n".join(lines) + "\n"
-    lines += [f"vt {u:.9g} {1.0 - v:.9g}" for u, v in mesh.uvs.tolist()]  # OBJ counts v upwards
-    lines += ["usemtl surface"] if mesh.texture is not None else []
-    corners = np.stack([mesh.faces, mesh.uv_faces], axis=-1).reshape(-1, 6) + 1
-    lines += ["f {}/{} {}/{} {}/{}".format(*row) for row in corners.tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def _split(mesh: Mesh) -> trimesh.Trimesh:
-    """One vertex for each (position, uv) pair, with the smooth normals of the unsplit mesh, so that seams do not show."""
-    corners = mesh.positions[mesh.faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(mesh.positions)
-    np.add.at(normals, mesh.faces.reshape(-1), np.repeat(face_normals, 3, axis=0))  # weighted by area
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(length > 0.0, normals / np.maximum(length, 1e-300), (0.0, 0.0, 1.0))
-    if mesh.uvs is None:
-        colors = _byte_colors(mesh)
-        return trimesh.Trimesh(mesh.positions, mesh.faces, vertex_normals=normals, process=False, vertex_colors=colors)
-    pairs, index = np.unique(np.stack([mesh.faces.reshape(-1), mesh.uv_faces.reshape(-1)], axis=1), axis=0, return_inverse=True)
-    uvs = mesh.uvs[pairs[:, 1]] * (1.0, -1.0) + (0.0, 1.0)  # trimesh counts v upwards and turns it for glTF
-    image = None if mesh.texture is None else Image.fromarray(to_bytes(mesh.texture))
-    material = trimesh.visual.material.PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=1.0)
-    visual = trimesh.visual.TextureVisuals(uv=uvs, material=material)
-    if image is None and mesh.colors is not None:
-        rgba = np.pad(_byte_colors(mesh), ((0, 0), (0, 1)), constant_values=255)
-        visual.vertex_attributes["color"] = rgba[pairs[:, 0]]
-    return trimesh.Trimesh(mesh.positions[pairs[:, 0]], index.reshape(-1, 3), vertex_normals=normals[pairs[:, 0]],
-                           visual=visual, process=False)
-
-
-def to_bytes(image: np.ndarray) -> np.ndarray:
-    """uint8 of an image in [0, 1]: (h, w), (h, w, 1), (h, w, 3) or (h, w, 4), as PIL takes it; clipped, NaN becomes 0."""
-    image = np.asarray(image)
-    if image.ndim == 2:
-        image = image[..., None]
-    if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or image.size == 0:
-        raise InputError(f"image has shape {image.shape}; it must be (h, w), or (h, w, c) with 1, 3 or 4 channels")
-    if image.dtype != np.uint8:
-        image = np.rint(np.clip(np.nan_to_num(image.astype(np.float64), nan=0.0), 0.0, 1.0) * 255.0).astype(np.uint8)
-    return image[..., 0] if image.shape[2] == 1 else image
+        write_bytes(path, encode_gltf(parts, binary=suffix == ".glb"))
 
 
 def save_png(path: str | Path, image: np.ndarray) -> None:
     """An image in [0, 1] as a PNG of 8 bits, values as given (encode to sRGB before, where they are linear)."""
-    _write_png(path, Image.fromarray(to_bytes(image)))
-
-
-def _write_png(path: str | Path, image: Image.Image) -> None:
-    data = io.BytesIO()
-    image.save(data, format="PNG")
-    write_bytes(path, data.getvalue())
+    write_bytes(path, png_bytes(image))
 
 
 def contact_sheet(rows: Sequence[tuple[str, Sequence[np.ndarray]]], path: str | Path) -> None:
@@ -150,7 +102,7 @@ def contact_sheet(rows: Sequence[tuple[str, Sequence[np.ndarray]]], path: str | 
         for column, tile in enumerate(row):
             sheet.paste(tile, (left + gap + column * (width + gap), y))
         y += height + gap
-    _write_png(path, sheet)
+    write_bytes(path, png_bytes(np.asarray(sheet)))
 
 
 def _tile(image: np.ndarray) -> Image.Image:
@@ -201,7 +153,7 @@ def loss_curve(curves: Mapping[str, Sequence[tuple[float, float]]], path: str | 
         y = top + 24 + 34 * i
         draw.line([(right - 60, y), (right - 10, y)], fill=color, width=6)
         draw.text((right - 72, y), name, fill="black", font=font, anchor="rm")
-    _write_png(path, plot.resize(size, Image.Resampling.BOX))
+    write_bytes(path, png_bytes(np.asarray(plot.resize(size, Image.Resampling.BOX))))
 
 
 def _ticks(low: float, high: float) -> list[float]:
