@@ -167,7 +167,7 @@ def _run(args) -> int:
             sys.stdout.flush()
             return code
         except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] in ("trimesh", "PIL", "tomli"):
+            if (error.name or "").partition(".")[0] in ("PIL", "tomli"):
                 raise DressiError(f"package {error.name} is not installed, and this command needs it; "
                                   "pip install 'dressi_edge[compiler]'") from error
             raise

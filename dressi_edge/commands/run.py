@@ -6,7 +6,7 @@ import os
 import sys
 import time
 
-from ..cache.errors import InputError
+from ..cache.errors import BundleError, InputError
 from .files import check_folder, print_json, write_file
 
 POINTS = 60  # of a loss curve, about
@@ -173,10 +173,16 @@ def _check_names(names: list[str]) -> None:
 
 
 def _save_states(session, path: str) -> None:
-    """Every state of the bundle as an array of its user's shape."""
+    """Every state of the bundle as an array of its user's shape; and where the mesh file has more vertices than `vertices` has rows,
+    as some are at one position, `vertex_map`: the row of each of the file's."""
     import numpy as np
-    data = io.BytesIO()
-    np.savez(data, **{name: session.get(name) for name in _states(session)})
+    data, arrays = io.BytesIO(), {name: session.get(name) for name in _states(session)}
+    if (entry := session.bundle.description["meta"].get("vertex_map")) is not None:
+        try:
+            arrays.setdefault("vertex_map", np.frombuffer(entry["data"], "<i4"))
+        except (KeyError, TypeError, ValueError) as error:
+            raise BundleError(f"meta.vertex_map is malformed ({error}); compile the bundle again") from None
+    np.savez(data, **arrays)
     write_file(path, data.getvalue())
 
 

@@ -63,9 +63,9 @@ class _Text:
             elif key not in IGNORED and key.strip("\0\x1a"):
                 unknown[key] = None
         if left_out:
-            warn(f"{path}: {listed(left_out)} are not read")
+            warn(f"{path}: not read are {listed(left_out)}")
         if unknown:
-            warn(f"{path}: unknown statements {listed(unknown)} are not read")
+            warn(f"{path}: unknown statements are not read: {listed(unknown)}")
 
     def _face(self, words: list[str], number: int) -> None:
         counts = [len(self.rows[kind]) for kind in ("v", "vt", "vn")]

@@ -15,9 +15,11 @@ import numpy as np
 from ...cache.errors import InputError
 from ...cache.profile import Profile
 from ..io.images import srgb_to_linear
-from ..io.meshes import Mesh, load_mesh, load_texture, normalize
+from ..io.mesh import Mesh, linear_mesh
+from ..io.meshes import load_mesh, normalize
 from ..io.shapes import sphere
 from ..io.text import bounded, read_bytes, shown
+from ..io.textures import load_texture
 from ..io.views import Views, load_gltf_views, load_views
 from ..render.light import KINDS as LIGHTS
 from ..render.light import Light
@@ -90,16 +92,13 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     height, width = views.images.shape[1:3]
     render.checked(fits_scene, profiles, len(views), width * height, order, len(mesh.positions), len(mesh.faces), textured,
                    {name for phase in phases for name in phase.optimize}, settings["texture_grad"])
-    linear_albedo = linear or settings["srgb"]
-    if linear_albedo:
-        mesh = replace(mesh, texture=None if mesh.texture is None else srgb_to_linear(mesh.texture),
-                       colors=None if mesh.colors is None else srgb_to_linear(mesh.colors))
     if linear:
+        mesh = linear_mesh(mesh)
         views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
     problem = render.checked(
         Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights,
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
-    problem.program.meta.update(linear_albedo=linear_albedo, linear_images=linear)
+    problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
     side = max(problem.width, problem.height)
     for phase, soft in softs:
         softness = phase.table.checked(_softness, soft, side)
@@ -168,7 +167,7 @@ def _render(job: Table) -> tuple[Table, dict]:
                 "albedo_color": t.numbers("albedo_color", 3, (0.5,) * 3, 0, 1), "srgb": t.flag("srgb", False),
                 "background": t.numbers("background", 3, (0.0,) * 3, 0, 1),
                 "texture_size": t.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True),
-                "wrap": t.word("wrap", "repeat", ("repeat", "clamp")),
+                "wrap": t.word("wrap", None, ("repeat", "clamp")),
                 "texture_grad": t.word("texture_grad", "exact", ("exact", "inverse_uv")), "soft": _soft(t)}
     if settings["srgb"] and job.get("views").get("color") == "linear":
         raise t.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")

@@ -14,7 +14,7 @@ import numpy as np
 from ...cache.errors import BundleError, InputError
 from ..io.cameras import inverse_rigid, rotation_matrix
 from ..io.images import linear_to_srgb
-from ..io.meshes import Mesh
+from ..io.mesh import Mesh
 from ..io.views import Views
 from ..io.writers import MESH_SUFFIXES, contact_sheet, loss_curve, save_json, save_mesh
 
@@ -34,7 +34,7 @@ def _unpack(meta: Mapping, name: str, kind: str, columns: int) -> np.ndarray | N
         if entry["type"] != kind:
             raise ValueError(f"type {entry['type']!r:.20}, not {kind}")
         array = np.frombuffer(entry["data"], kind).reshape(-1, columns)
-        if list(array.shape) != entry["shape"]:
+        if list(array.shape if columns > 1 else array.shape[:1]) != entry["shape"]:
             raise ValueError(f"shape {entry['shape']!r:.40}, not {list(array.shape)}")
         return array
     except (KeyError, TypeError, ValueError) as error:
@@ -52,8 +52,12 @@ def record(problem) -> dict:
              "images": list(names), "image_size": [problem.width, problem.height],
              "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far]
                          for c in cameras]}
+    meta |= {"shading": problem.shading, "wrap": problem.wrap}
     if mesh.uvs is not None:
         meta |= {"uvs": _pack(mesh.uvs, "<f8"), "uv_faces": _pack(mesh.uv_faces, "<i4")}
+    for name, array in (("color_faces", mesh.color_faces), ("vertex_map", mesh.vertex_map)):
+        if array is not None:
+            meta[name] = _pack(array, "<i4")
     return meta
 
 
@@ -80,7 +84,9 @@ def mesh_of(session) -> Mesh:
     uvs, uv_faces = _unpack(meta, "uvs", "<f8", 2), _unpack(meta, "uv_faces", "<i4", 3)
     texture = encoded(session.get("texture")) if _has(session, "texture") and uvs is not None else None
     colors = encoded(session.get("colors")) if _has(session, "colors") else None
-    return Mesh(session.get("vertices"), faces, uvs, uv_faces, colors, texture)
+    color_faces, vertex_map = (_unpack(meta, name, "<i4", columns) for name, columns in (("color_faces", 3), ("vertex_map", 1)))
+    return Mesh(session.get("vertices"), faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces,
+                vertex_map=None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
 
 
 def snapshot(session) -> np.ndarray | None:
@@ -142,7 +148,7 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
     files = {"mesh": out, "sheet": out.with_name(f"{out.stem}_sheet.png"), "loss": out.with_name(f"{out.stem}_loss.png"),
              "metrics": out.with_name(f"{out.stem}_metrics.json")}
     metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
-    save_mesh(files["mesh"], mesh_of(session))
+    save_mesh(files["mesh"], mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
     after, wanted = snapshot(session), targets(session)
     rows = [(label, images[:SHOWN]) for label, images in
             (("before", before), ("after", after), ("target", wanted), *extra_rows) if images is not None]
