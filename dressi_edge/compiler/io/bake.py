@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cache.errors import InputError
-from .images import linear_to_srgb, srgb_to_linear
+from .images import MAX_PIXELS, linear_to_srgb, srgb_to_linear
 from .materials import TextureMap
 from .mesh import unique_rows
 from .pieces import Corners
-from .textures import MAX_SIDE, MAX_TEXELS
+
+MAX_SIDE = 16384  # of an atlas
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def _picture_tile(texels: np.ndarray, uv: np.ndarray, wrap: tuple[str, str]) -> 
             np.minimum(index % (2 * n), 2 * n - 1 - index % (2 * n))
         moved[..., axis] = x - first
         rows.append(index)
-    if len(rows[0]) * len(rows[1]) > MAX_TEXELS:
+    if len(rows[0]) * len(rows[1]) > MAX_PIXELS:
         raise _too_large(len(rows[0]), len(rows[1]))
     return texels[rows[1]][:, rows[0]], moved
 
@@ -121,7 +122,7 @@ def _color_tile(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cells = np.zeros((rows * columns, 2, 2, 3))
     cells[:len(faces), 0, 0], cells[:len(faces), 0, 1], cells[:len(faces), 1, 0] = faces[:, 0], faces[:, 1], faces[:, 2]
     cells[:len(faces), 1, 1] = np.clip(faces[:, 1] + faces[:, 2] - faces[:, 0], 0.0, 1.0)
-    if rows * columns * 4 > MAX_TEXELS:
+    if rows * columns * 4 > MAX_PIXELS:
         raise _too_large(2 * columns, 2 * rows)
     tile = cells.reshape(rows, columns, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * rows, 2 * columns, 3)
     corner = np.stack([index % columns, index // columns], axis=-1)[:, None] * 2.0
@@ -139,7 +140,7 @@ def _packed(tiles: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             x, y, height = 0, y + height, 0
         places[k] = x, y
         x, height = x + w, max(height, h)
-    if max(width, y + height) > MAX_SIDE or width * (y + height) > MAX_TEXELS:
+    if max(width, y + height) > MAX_SIDE or width * (y + height) > MAX_PIXELS:
         raise _too_large(width, y + height)
     atlas = np.zeros((y + height, width, 3))
     for tile, (x, y) in zip(tiles, places):
@@ -149,4 +150,4 @@ def _packed(tiles: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 def _too_large(width: int, height: int) -> InputError:
     return InputError(f"several materials need an atlas of {width}x{height} texels; at most {MAX_SIDE} a side and "
-                      f"{MAX_TEXELS / 1e6:.1f} million are allowed; load the parts one by one, or scale their pictures down")
+                      f"{MAX_PIXELS / 1e6:.1f} million are allowed; load the parts one by one, or scale their pictures down")

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import InputError
+from ...cache.errors import InputError, note
 from .gltf_file import Document
 from .gltf_material import material_of
 from .images import linear_to_srgb
-from .pieces import Piece, Pieces, listed, warn
+from .pieces import Piece, Pieces, listed
 from .ply import strip_faces
 
 MAX_VERTICES = 1 << 25  # of all instances together
@@ -71,7 +71,7 @@ class _Scene:
         scenes, roots = self.document.list("scenes"), [k for k in range(len(self.nodes)) if k not in parent]
         if scenes:
             if "scene" not in self.document.json and len(scenes) > 1:
-                warn(f"{self.path} has {len(scenes)} scenes and says of none that it is the default; the first is read")
+                note(f"{self.path} has {len(scenes)} scenes and says of none that it is the default; the first is read")
             chosen = self.document.json.get("scene", 0)
             roots = self.document.get("scenes", chosen).get("nodes", [])
             for root in roots:
@@ -86,7 +86,7 @@ class _Scene:
             stack += reversed(children[k])
         hidden = [k for k in set(self.world) - seen if "mesh" in self.nodes[k]]
         if hidden:
-            warn(f"{self.path}: {len(hidden)} nodes with meshes are in other scenes than the default, and not read")
+            note(f"{self.path}: {len(hidden)} nodes with meshes are in other scenes than the default, and not read")
 
     def pieces(self) -> Pieces:
         """All pieces of the default scene; of a file without nodes, those of its meshes."""
@@ -100,7 +100,7 @@ class _Scene:
                 for matrix in self._instances(k):
                     out += self._mesh(node["mesh"], node, matrix)
         if self.left_out:
-            warn(f"{self.path}: {listed(self.left_out, 8)} are not read")
+            note(f"{self.path}: {listed(self.left_out, 8)} are not read")
         return Pieces(np.concatenate([np.zeros((0, 3)), *self.positions]), tuple(out))
 
     def _instances(self, k: int) -> list[np.ndarray]:
@@ -181,7 +181,7 @@ class _Scene:
         colors = attribute("COLOR_0", ("VEC3", "VEC4"), True)
         if colors is not None:
             if not ((colors >= 0.0) & (colors <= 1.0)).all():
-                warn(f"{where}: COLOR_0 from {colors.min():g} to {colors.max():g}; it is clipped to 0 to 1")
+                note(f"{where}: COLOR_0 from {colors.min():g} to {colors.max():g}; it is clipped to 0 to 1")
             colors = (linear_to_srgb(np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0)), faces)
         sets = [key for key in attributes if key.startswith("TEXCOORD_") and key[9:].isdecimal()]
         uvs = {int(key[9:]): (attribute(key, ("VEC2",)), faces) for key in sets}

@@ -5,7 +5,6 @@ In: a .gltf or .glb file. Out: its JSON as `Document`, which gives accessors as 
 from __future__ import annotations
 
 import base64
-import json
 import struct
 from functools import cached_property
 from pathlib import Path
@@ -13,8 +12,9 @@ from urllib.parse import unquote_to_bytes
 
 import numpy as np
 
-from ...cache.errors import InputError
-from .pieces import listed, warn
+from ...cache.errors import InputError, note
+from .pieces import listed
+from .text import parse_json
 from .textures import Picture, find_file
 
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -43,7 +43,7 @@ class Document:
             raise InputError(f"{path} requires the glTF extension{'s' * (len(unread) > 1)} {listed(unread)}, which is not read; export it "
                              f"without {'compression' if packed else 'it'}")
         if unread := [str(name) for name in self.json.get("extensionsUsed", []) if str(name) not in READ | HARMLESS]:
-            warn(f"{path}: glTF extensions {listed(unread)} are not read; what the file has without them is used")
+            note(f"{path}: glTF extensions {listed(unread)} are not read; what the file has without them is used")
         self._buffers: dict[int, bytes] = {}
 
     def list(self, key: str) -> list:
@@ -197,15 +197,7 @@ def _contents(path: Path, data: bytes) -> tuple[dict, bytes | None]:
         if not chunks or chunks[0][0] != b"JSON":
             raise InputError(f"{path} is a malformed .glb: it does not begin with JSON; export it again")
         data, binary = chunks[0][1], next((chunk for kind, chunk in chunks[1:] if kind == b"BIN\0"), None)
-    try:
-        document = json.loads(data.rstrip(b"\0 \t\r\n\x1a").decode("utf-8-sig"))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path} line {error.lineno} column {error.colno}: malformed JSON ({error.msg}); repair it") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not UTF-8 text ({error.reason} at byte {error.start}); export it again") from None
-    except (RecursionError, ValueError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else "a number is too long"
-        raise InputError(f"{path} is malformed JSON: {reason}; export it again") from None
+    document = parse_json(data.rstrip(b"\0 \t\r\n\x1a"), path)
     if not isinstance(document, dict):
         raise InputError(f"{path} is not glTF: its JSON is no object; export it again")
     return document, binary

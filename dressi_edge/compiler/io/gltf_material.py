@@ -5,10 +5,9 @@ import math
 
 import numpy as np
 
-from ...cache.errors import InputError
+from ...cache.errors import InputError, note
 from .gltf_file import Document
 from .materials import IDENTITY, Material, TextureMap
-from .pieces import warn
 
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 SOURCES = ("EXT_texture_webp",)  # extensions that name an image that is read
@@ -64,7 +63,7 @@ def _map(document: Document, info: dict | None, where: str) -> TextureMap | None
     extensions = texture.get("extensions", {})
     source = next((extensions[name].get("source") for name in SOURCES if name in extensions), texture.get("source"))
     if source is None:
-        warn(f"{where}: a texture has its image in {' '.join(map(str, extensions)) or 'no place'}, which is not read; it is left out")
+        note(f"{where}: a texture has its image in {' '.join(map(str, extensions)) or 'no place'}, which is not read; it is left out")
         return None
     sampler = document.get("samplers", texture["sampler"]) if "sampler" in texture else {}
     wrap = tuple(WRAPS.get(sampler.get(key, 10497)) for key in ("wrapS", "wrapT"))

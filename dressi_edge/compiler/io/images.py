@@ -71,15 +71,17 @@ def picture_size(path: str | Path) -> tuple[int, int]:
 
 
 @contextlib.contextmanager
-def opened(path: str | Path, what: str, hint: str) -> Iterator[Image.Image]:
-    """The picture in a file, its pixels not yet read: of at most `MAX_PIXELS`. Whatever goes wrong with the file, then or while its pixels
-    are read, is an InputError that calls it `what` and ends with `hint`."""
-    if not is_file(Path(path)):
+def opened(path: str | Path | bytes, what: str, hint: str, name: str | None = None) -> Iterator[Image.Image]:
+    """The picture in a file, or in its bytes, its pixels not yet read: of at most `MAX_PIXELS`. Whatever goes wrong with the file, then or
+    while its pixels are read, is an InputError that calls it `what` and `name` (its path unless given) and ends with `hint`."""
+    source = io.BytesIO(path) if isinstance(path, bytes) else path
+    path = path if name is None else name
+    if source is path and not is_file(Path(path)):
         raise InputError(f"{what} file {shown(path)} does not exist; check the path")
     try:
         with _any_size(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the library, about chunks that do not matter
-            with Image.open(path) as image:
+            with Image.open(source) as image:
                 if image.width * image.height > MAX_PIXELS:
                     side = math.isqrt(MAX_PIXELS)
                     raise InputError(f"{what} {shown(path)} is {image.width}x{image.height}; at most {MAX_PIXELS} pixels are allowed, "

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import InputError
+from ...cache.errors import InputError, note
 from .bake import Surface, baked
 from .gltf import read_gltf
 from .images import linear_to_srgb, srgb_to_linear
 from .materials import Part
 from .mesh import Mesh, face_normals, unique_rows
 from .obj import read_obj
-from .pieces import MAX_BYTES, Corners, Piece, Pieces, listed, warn
+from .pieces import MAX_BYTES, Corners, Piece, Pieces, listed
 from .plain import read_off, read_stl
 from .ply import read_ply
 from .textures import load_texture
@@ -111,14 +111,14 @@ def _joined(path: Path, pieces: Pieces, given: bool) -> Mesh:
     mesh = _with_normals(mesh, parts)
     textured = [not given and part.material.base_texture is not None and _uv_of(part) is not None for part in parts]
     if lacking := [part.name for part, drawn in zip(parts, textured) if not given and part.material.base_texture and not drawn]:
-        warn(f"{path}: {listed(lacking)}: no texture coordinates for the base colour texture; it is left out")
+        note(f"{path}: {listed(lacking)}: no texture coordinates for the base colour texture; it is left out")
     if any(textured):
         surfaces = [Surface(_uv_of(part), part.material.base_texture, part.material.base_color[:3], None, len(part.faces)) if drawn else
                     Surface(None, None, (1.0, 1.0, 1.0), _stated_colors(part), len(part.faces)) for part, drawn in zip(parts, textured)]
         mesh = replace(mesh, **baked(surfaces))
         if multiplied := [part.name for part, drawn in zip(parts, textured) if drawn and part.colors is not None
                           and (part.colors[0][part.colors[1]] < 1.0).any()]:
-            warn(f"{path}: {listed(multiplied)}: colours of vertices, which multiply the texture, are left out")
+            note(f"{path}: {listed(multiplied)}: colours of vertices, which multiply the texture, are left out")
     else:
         stated = [_stated_colors(part) for part in parts]
         if any(colors is not None for colors in stated):
@@ -220,14 +220,14 @@ def _part(path: Path, pieces: Pieces, k: int) -> Part:
         mesh = replace(mesh, **_compact("uvs", "uv_faces", [uv]))
     if base is not None:
         if uv is None:
-            warn(f"{path}: {piece.name}: no texture coordinates for the base colour texture; it is left out")
+            note(f"{path}: {piece.name}: no texture coordinates for the base colour texture; it is left out")
             piece = replace(piece, material=replace(piece.material, base_texture=None))
         else:
             wrap = base.wrap[0] if base.wrap in (("repeat",) * 2, ("clamp",) * 2) else "repeat"
             mesh = replace(mesh, texture=base.picture.texels()[..., :3], wrap=wrap)
     missing = [name for name, found in piece.material.extra_maps.items() if found.picture.source is None]
     if missing:
-        warn(f"{path}: {piece.name}: the pictures of {listed(missing)} do not exist; they are left out")
+        note(f"{path}: {piece.name}: the pictures of {listed(missing)} do not exist; they are left out")
     material = replace(piece.material, **{name.replace("-", "_") + "_texture": None for name in missing})
     return Part(piece.name, mesh, material, dict(piece.uvs))
 
@@ -236,10 +236,10 @@ def _warn_of_more(path: Path, parts: Sequence[Piece]) -> None:
     """One line about what materials have and one mesh has not."""
     maps = [name for part in parts for name in part.material.extra_maps]
     if maps:
-        warn(f"{path}: {listed(maps)} maps are not used by a single mesh")
+        note(f"{path}: {listed(maps)} maps are not used by a single mesh")
     clear = [part.material.name or part.name for part in parts if part.material.alpha_mode != "OPAQUE"]
     if clear:
-        warn(f"{path}: {listed(clear)}: transparency is not drawn")
+        note(f"{path}: {listed(clear)}: transparency is not drawn")
 
 
 def normalize(mesh: Mesh, radius: float = 1.0) -> Mesh:

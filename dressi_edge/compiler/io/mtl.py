@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import InputError
+from ...cache.errors import InputError, note
 from .images import srgb_to_linear
 from .materials import IDENTITY, Material, TextureMap
-from .pieces import decoded, listed, numbers, warn
+from .pieces import decoded, listed, numbers
 from .textures import Picture, find_file
 
 OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-bm": 1, "-cc": 1, "-clamp": 1, "-colorspace": 1, "-imfchan": 1, "-mm": 2, "-o": 3,
@@ -48,7 +48,7 @@ def read_mtl(path: Path) -> dict[str, Material]:
         elif key not in PLAIN:
             unread[words[0]] = None
     if unread:
-        warn(f"{path}: {listed(unread)} are not read")
+        note(f"{path}: {listed(unread)} are not read")
     return {name: _material(path, name, entry) for name, entry in entries.items()}
 
 
@@ -78,7 +78,7 @@ def _map(path: Path, rest: str, where: str) -> TextureMap:
     scale, offset = (_uv(options.get(key), default) for key, default in (("-s", 1.0), ("-o", 0.0)))
     if ignored := [key for key in options if key in ("-mm", "-t", "-imfchan", "-bm", "-boost", "-cc")
                    and options[key] not in (["0", "1"], ["0", "0", "0"], ["on"] if key == "-cc" else ["1"], ["off"])]:
-        warn(f"{where}: options {listed(ignored)} of the map are not applied")
+        note(f"{where}: options {listed(ignored)} of the map are not applied")
     # u' = s u + o counts v upwards; downwards v' = 1 - (s (1 - v) + o).
     transform = ((scale[0], 0.0, offset[0]), (0.0, scale[1], 1.0 - scale[1] - offset[1]))
     wrap = "clamp" if options.get("-clamp") == ["on"] else "repeat"
@@ -111,7 +111,7 @@ def _options(text: str, where: str) -> tuple[dict[str, list[str]], str]:
 def _material(path: Path, name: str, entry: dict) -> Material:
     color, base = entry.get("kd"), entry.get("base")
     if base is not None and color == (0.0, 0.0, 0.0):
-        warn(f"{path}: material {name!r:.60} has Kd 0 0 0 and a map_Kd, which would be black; Kd counts as 1")
+        note(f"{path}: material {name!r:.60} has Kd 0 0 0 and a map_Kd, which would be black; Kd counts as 1")
         color = None
     return Material(name, (*(color or (1.0, 1.0, 1.0)), entry.get("d", 1.0)), base, entry.get("pm", 0.0), entry.get("pr", 1.0),
                     normal_texture=entry.get("normal"), emissive=entry.get("ke") or ((1.0,) * 3 if "emissive" in entry else (0.0,) * 3),

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import InputError
+from ...cache.errors import InputError, note
 from .materials import Material
 from .mtl import read_mtl
-from .pieces import Piece, Pieces, decoded, listed, numbers, unit_colors, warn
+from .pieces import Piece, Pieces, decoded, listed, numbers, unit_colors
 from .polygons import triangulated
 from .textures import find_file
 
@@ -63,9 +63,9 @@ class _Text:
             elif key not in IGNORED and key.strip("\0\x1a"):
                 unknown[key] = None
         if left_out:
-            warn(f"{path}: not read are {listed(left_out)}")
+            note(f"{path}: not read are {listed(left_out)}")
         if unknown:
-            warn(f"{path}: unknown statements are not read: {listed(unknown)}")
+            note(f"{path}: unknown statements are not read: {listed(unknown)}")
 
     def _face(self, words: list[str], number: int) -> None:
         counts = [len(self.rows[kind]) for kind in ("v", "vt", "vn")]
@@ -185,8 +185,8 @@ def _materials(text: _Text) -> dict[str, Material]:
             except OSError as error:
                 raise InputError(f"{text.path}: material file {file} cannot be read: {error.strerror or error}; check it") from None
     if missing:
-        warn(f"{text.path}: material file {listed(missing)} does not exist, so the file has no materials and no textures of it")
+        note(f"{text.path}: material file {listed(missing)} does not exist, so the file has no materials and no textures of it")
     wanted = {material for _, material in text.owners if material}
     if not missing and (nowhere := sorted(wanted - set(found))):
-        warn(f"{text.path}: material {listed(nowhere)} is in no material file; it counts as none")
+        note(f"{text.path}: material {listed(nowhere)} is in no material file; it counts as none")
     return found

@@ -1,17 +1,17 @@
 """What readers of mesh files hand over: `Pieces`, the file's own vertices in the file's order and what is made of them.
 
-`meshes.py` turns them into a `Mesh` or into `Part`s. Warnings about what was left out go through `warn`.
+`meshes.py` turns them into a `Mesh` or into `Part`s.
 """
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...cache.errors import InputError, InputWarning
+from ...cache.errors import InputError, note
 from .materials import Material
+from .text import shown
 
 MAX_BYTES = 1 << 31
 Corners = tuple[np.ndarray, np.ndarray]  # values (n, k) float64, and (F, 3) which of them each corner has
@@ -49,15 +49,10 @@ class Pieces:
     pieces: tuple[Piece, ...]
 
 
-def warn(text: str) -> None:
-    """One line about something that was left out."""
-    warnings.warn(" ".join(text.split()), InputWarning, stacklevel=3)
-
-
 def listed(names: Iterable, most: int = 6) -> str:
     """The names, each once, and how many more there are."""
     names = list(dict.fromkeys(map(str, names)))
-    return ", ".join(f"{name:.60}" for name in names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    return ", ".join(shown(name, 60) for name in names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def decoded(data: bytes) -> str:
@@ -90,5 +85,5 @@ def unit_colors(colors: np.ndarray, where: str) -> np.ndarray:
     if 1.0 < top <= 255.0 and (colors == np.floor(colors)).all():
         colors = colors / 255.0
     if not ((colors >= 0.0) & (colors <= 1.0)).all():
-        warn(f"{where}: colours from {colors.min():g} to {colors.max():g}; they are clipped to 0 to 1")
+        note(f"{where}: colours from {colors.min():g} to {colors.max():g}; they are clipped to 0 to 1")
     return np.clip(np.nan_to_num(colors, nan=0.0), 0.0, 1.0)

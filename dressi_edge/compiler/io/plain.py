@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import InputError
-from .pieces import Piece, Pieces, decoded, numbers, unit_colors, warn
+from ...cache.errors import InputError, note
+from .pieces import Piece, Pieces, decoded, numbers, unit_colors
 from .polygons import triangulated
 
 
@@ -19,7 +19,7 @@ def read_stl(path: Path, data: bytes) -> Pieces:
     if len(data) >= 84 and (84 + 50 * count == len(data) or not text and 84 + 50 * count <= len(data)):
         rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]), count, 84)
         if rows["more"].any():
-            warn(f"{path}: the two bytes after each face, in which some programs put colours, are not read")
+            note(f"{path}: the two bytes after each face, in which some programs put colours, are not read")
         positions = rows["corners"].reshape(-1, 3).astype(np.float64)
     elif text:
         found = re.findall(r"(?im)^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", decoded(data))

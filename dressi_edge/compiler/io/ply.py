@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import InputError
+from ...cache.errors import InputError, note
 from .materials import Material, TextureMap
-from .pieces import Piece, Pieces, decoded, listed, unit_colors, warn
+from .pieces import Piece, Pieces, decoded, listed, unit_colors
 from .polygons import triangulated
 from .textures import Picture, find_file
 
@@ -59,7 +59,7 @@ def read_ply(path: Path, data: bytes) -> Pieces:
     left = [f"{name} {p.name}" if name in MESH else name for name, _, properties in elements for p in properties
             if name not in MESH or p.name not in KNOWN]
     if left:
-        warn(f"{path}: {listed(left)} are not read")
+        note(f"{path}: {listed(left)} are not read")
     vertex = tables.get("vertex", {})
     vertex = {key: column for key, column in vertex.items() if column.starts is None}
     if not {"x", "y", "z"} <= set(vertex):

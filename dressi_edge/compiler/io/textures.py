@@ -4,11 +4,7 @@ In: names as OBJ, MTL, PLY and glTF files have them, and image data. Out: texels
 """
 from __future__ import annotations
 
-import io
 import re
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -16,51 +12,17 @@ import numpy as np
 from PIL import Image
 
 from ...cache.errors import InputError
+from .images import opened
+from .text import is_file, shown
 
-MAX_SIDE = 16384
-MAX_TEXELS = 1 << 26  # 8192 x 8192: 1.6 GB in float64
+HINT = "give a PNG or JPEG file"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N")
-
-
-@contextmanager
-def opened(source: Path | bytes, name: str) -> Iterator[Image.Image]:
-    """The image of a file or of its bytes, not decoded yet. name: "image a.png", for messages. Raises InputError: unreadable, or larger
-    than what is allowed."""
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # the size is checked below, in our words
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Pillow, about metadata
-            try:
-                image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source)
-            except Exception as error:  # readers raise anything on a broken file
-                raise _unreadable(name, error) from None
-            with image:
-                width, height = image.size
-                if max(width, height) > MAX_SIDE or width * height > MAX_TEXELS:
-                    raise InputError(f"{name} is {width}x{height}, {width * height / 1e6:.1f} million texels; at most {MAX_SIDE} a "
-                                     f"side and {MAX_TEXELS / 1e6:.1f} million are allowed (8192x8192); scale it down")
-                try:
-                    yield image
-                except InputError:
-                    raise
-                except Exception as error:
-                    raise _unreadable(name, error) from None
-    finally:
-        Image.MAX_IMAGE_PIXELS = limit
-
-
-def _unreadable(name: str, error: Exception) -> InputError:
-    if isinstance(error, FileNotFoundError):
-        return InputError(f"{name} cannot be read: there is no such file; check the path")
-    text = str(error) or type(error).__name__
-    text = "it is no image that is known" if "cannot identify" in text else text
-    return InputError(f"{name} cannot be read ({text:.120}); give a PNG or JPEG file")
 
 
 def load_texture(path: str | Path) -> np.ndarray:
     """An image file as a texture (h, w, 3) float64 in [0, 1], as stored; alpha is dropped. Raises InputError."""
-    with opened(Path(path), f"texture {path}") as image:
-        return texels(image, f"texture {path}")[..., :3]
+    with opened(path, "texture", HINT) as image:
+        return texels(image, f"texture {shown(path)}")[..., :3]
 
 
 def texels(image: Image.Image, name: str) -> np.ndarray:
@@ -84,7 +46,7 @@ class Picture:
     which is an error only for who needs it."""
 
     def __init__(self, name: str, source: Path | bytes | None):
-        self.name, self.source = name, source
+        self.name, self.source = shown(name), source
         self._texels: np.ndarray | None = None
 
     def texels(self) -> np.ndarray:
@@ -92,7 +54,7 @@ class Picture:
         if self.source is None:
             raise InputError(f"image {self.name} does not exist, nor a file of that name beside the mesh; put it there, or give a texture")
         if self._texels is None:
-            with opened(self.source, f"image {self.name}") as image:
+            with opened(self.source, "image", HINT, self.name) as image:
                 self._texels = texels(image, f"image {self.name}")
             self._texels.setflags(write=False)
         return self._texels
@@ -110,11 +72,8 @@ def find_file(folder: Path, name: str) -> Path | None:
         slashed = re.sub(r"[\\/]+", "/", text)
         spelled += [text, slashed, slashed.rpartition("/")[2]]
     for text in dict.fromkeys(filter(None, spelled)):
-        try:
-            if (folder / text).is_file():
-                return folder / text
-        except (OSError, ValueError):  # a name that no file can have
-            continue
+        if is_file(folder / text):
+            return folder / text
     wanted = {text.rpartition("/")[2].casefold() for text in spelled if text}
     try:
         beside = sorted(file for file in folder.iterdir() if file.name.casefold() in wanted and file.is_file())
