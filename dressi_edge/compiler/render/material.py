@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...cache.errors import GraphError, InputError
 from ..graph.functions import apply, compose, dot, maximum, normalize, select
 from ..graph.ir import UNIT, Node
@@ -42,6 +44,17 @@ class Vertex:
 
     def __call__(self, s: Surface) -> Node:
         return s.vertex(self.table)
+
+
+@dataclass(frozen=True, eq=False)
+class Corner:
+    """A source: an attribute of faces' corners. table: a float or vec table; faces: (F, 3), which of its entries each corner has."""
+
+    table: Node
+    faces: np.ndarray
+
+    def __call__(self, s: Surface) -> Node:
+        return s.indexed(self.table, self.faces)
 
 
 def evaluate(source: Source, surface: Surface) -> Node | float:

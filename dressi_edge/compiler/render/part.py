@@ -14,12 +14,10 @@ import numpy as np
 from ...cache.errors import InputError
 from ..graph.ir import Node
 from ..graph.ops.join import join
-from ..io.meshes import Mesh
+from ..io.mesh import NORMALS, Mesh
 from .camera import ViewTable, to_clip
 from .raster import Span
 from .topology import Topology
-
-NORMALS = ("smooth", "flat", "file")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Part:
     def __post_init__(self) -> None:
         if self.normals not in NORMALS:
             raise InputError(f"part {self.name}: normals are {self.normals!r:.40}; allowed: {' '.join(NORMALS)}")
-        if self.normals == "file" and getattr(self.mesh, "normals", None) is None:
+        if self.normals == "file" and self.mesh.normals is None:
             raise InputError(f"part {self.name}: its mesh has no normals of its own; use smooth or flat")
         p, count = self.positions, len(self.mesh.positions)
         if not isinstance(p, Node) or p.vtype != "vec3" or p.extent.count != count:

@@ -126,6 +126,14 @@ class Surface:
             raise InputError(f"part {self.part.name}: a vertex attribute is {table!r:.60}; a table of its {count} vertices is needed")
         return self.frame.fragments.interpolate(self._layer, table, self.frame.weights(self.number), self._span)
 
+    def indexed(self, table: Node, faces: np.ndarray) -> Node:
+        """An attribute that corners share as they like: a float or vec table, and (F, 3) entries for all faces of the mesh. InputError."""
+        faces, count = np.asarray(faces), len(self.part.mesh.faces)
+        if faces.shape != (count, 3) or not isinstance(table, Node) or faces.min() < 0 or faces.max() >= table.extent.count:
+            raise InputError(f"part {self.part.name}: an attribute of corners has indices of shape {faces.shape} into {table!r:.60}; "
+                             f"({count}, 3) indices of its entries are needed")
+        return self.frame.fragments.interpolate_indexed(self._layer, table, faces, self.frame.weights(self.number), self._span)
+
     def corner(self, values: np.ndarray) -> Node:
         """A constant attribute of the faces' corners, (F, 3, c) for all faces of the mesh. Raises InputError."""
         values, count = np.asarray(values, float), len(self.part.mesh.faces)

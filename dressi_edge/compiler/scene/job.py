@@ -15,7 +15,7 @@ import numpy as np
 from ...cache.errors import InputError
 from ...cache.profile import Profile
 from ..io.images import srgb_to_linear
-from ..io.mesh import Mesh, linear_mesh
+from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.meshes import load_mesh, normalize
 from ..io.shapes import sphere
 from ..io.text import bounded, read_bytes, shown
@@ -95,8 +95,10 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     if linear:
         mesh = linear_mesh(mesh)
         views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
+    moved = any("vertices" in phase.optimize for phase in phases)
+    normals = settings["normals"] or ("smooth" if moved or mesh.normals is None else "file")
     problem = render.checked(
-        Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights,
+        Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights, normals=normals,
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
     problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
     side = max(problem.width, problem.height)
@@ -162,12 +164,12 @@ def _views(job: Table, folder: Path, fits: Callable[[int, int, int], None]):
 
 def _render(job: Table) -> tuple[Table, dict]:
     t = Table(job.get("render", {}), "render", (*SOFT, "shading", "albedo", "albedo_color", "srgb", "background",
-                                                 "texture_size", "wrap", "texture_grad"), job.source)
+                                                 "texture_size", "wrap", "texture_grad", "normals"), job.source)
     settings = {"shading": t.word("shading", "unlit", SHADINGS), "albedo": t.word("albedo", None, ALBEDOS),
                 "albedo_color": t.numbers("albedo_color", 3, (0.5,) * 3, 0, 1), "srgb": t.flag("srgb", False),
                 "background": t.numbers("background", 3, (0.0,) * 3, 0, 1),
                 "texture_size": t.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True),
-                "wrap": t.word("wrap", None, ("repeat", "clamp")),
+                "wrap": t.word("wrap", None, WRAPS), "normals": t.word("normals", None, NORMALS),
                 "texture_grad": t.word("texture_grad", "exact", ("exact", "inverse_uv")), "soft": _soft(t)}
     if settings["srgb"] and job.get("views").get("color") == "linear":
         raise t.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")

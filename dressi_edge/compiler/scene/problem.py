@@ -21,12 +21,12 @@ from ..graph.functions import compose
 from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import Camera
-from ..io.meshes import Mesh
+from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.views import Views
 from ..render import loss as terms
 from ..render.frame import Frame
 from ..render.light import Light
-from ..render.material import Lambert, Texture, Unlit, Vertex
+from ..render.material import Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
 from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
@@ -78,11 +78,12 @@ class Loss:
 
 @dataclass
 class Problem:
-    """mesh: positions, faces; for albedo "texture" uvs, for "colors" vertex colours (grey 0.5 where missing). views: targets and
-    cameras, or a sequence of cameras (targets are then set on the session, shape (views, height, width, 4)).
+    """mesh: positions, faces; for albedo "texture" uvs, for "colors" colours of vertices or corners (grey 0.5 where missing). views:
+    targets and cameras, or a sequence of cameras (targets are then set on the session, shape (views, height, width, 4)).
 
-    order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one. shading "unlit" or "lambert" with `lights`; `srgb`
-    encodes the rendered colour before it is compared. near and far come from the cameras. Raises InputError.
+    order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one. shading "unlit" or "lambert" with `lights` and `normals`
+    "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices); `srgb` decodes the mesh's texture and colours, and encodes
+    the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. Raises InputError.
     """
 
     mesh: Mesh
@@ -96,14 +97,16 @@ class Problem:
     srgb: bool = False
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     texture_size: tuple[int, int] = (512, 512)
-    wrap: str = "repeat"
+    wrap: str | None = None
     texture_grad: str = "exact"
+    normals: str = "smooth"
     program: Program = field(default_factory=Program)
 
     def __post_init__(self):
+        self.wrap = self.wrap or self.mesh.wrap
         self.cameras = self.views.cameras if isinstance(self.views, Views) else tuple(self.views)
         for name, value, allowed in (("order", self.order, ORDERS), ("shading", self.shading, SHADINGS), ("albedo", self.albedo, ALBEDOS),
-                                     ("wrap", self.wrap, ("repeat", "clamp")),
+                                     ("wrap", self.wrap, WRAPS), ("normals", self.normals, NORMALS),
                                      ("texture_grad", self.texture_grad, ("exact", "inverse_uv"))):
             if value not in allowed:
                 raise InputError(f"{name} is {value!r}; allowed: {' '.join(allowed)}")
@@ -126,7 +129,7 @@ class Problem:
         s.pose_cameras(self.parameters["rotation"], self.parameters["translation"])
         lights = [self._light(k, light) for k, light in enumerate(self.lights)]
         material = Lambert(color, lights) if self.shading == "lambert" else Unlit(color)
-        self.part = s.add(self.mesh, self.parameters["vertices"], material, "mesh")
+        self.part = s.add(self.mesh, self.parameters["vertices"], material, "mesh", self.normals)
         self.topology = self.part.topology
         images = self.views.images if isinstance(self.views, Views) else None
         self.targets = s.program.input("targets", s.pictures_layout("vec4"), images, narrow=True)
@@ -138,13 +141,14 @@ class Problem:
 
     def _albedo(self):
         """The source of the albedo, and its parameter."""
-        mesh, s = self.mesh, self.scene
+        mesh, s = linear_mesh(self.mesh) if self.srgb else self.mesh, self.scene
         if self.albedo == "constant":
             return tuple(self.albedo_color)
         if self.albedo == "colors":
             colors = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None else mesh.colors
             self.parameters["colors"] = s.parameter("colors", colors, 0.0, 1.0, kind="table")
-            return Vertex(self.parameters["colors"])
+            own = self.parameters["colors"]
+            return Vertex(own) if mesh.color_faces is None else Corner(own, mesh.color_faces)
         texture = np.full((*self.texture_size[::-1], 3), 0.5) if mesh.texture is None else mesh.texture
         self.parameters["texture"] = s.parameter("texture", texture, 0.0, 1.0, kind="image")
         return Texture(self.parameters["texture"], self.wrap, self.texture_grad)
@@ -165,6 +169,8 @@ class Problem:
         s = self.scene
         with s.undone_by_errors():
             s.check_phase(name, steps, optimize, losses)
+            if self.normals == "file" and self.shading == "lambert" and "vertices" in optimize:
+                raise InputError(f"phase {name} optimizes vertices, and normals are \"file\", which do not follow them; use flat or smooth")
             frame = s.frame(renderer_of(softness or Softness()), phase=name, order=self.order, seed=self.seed)
             target, weighted = frame.at(self.targets), {}
             for k, loss in enumerate(losses):

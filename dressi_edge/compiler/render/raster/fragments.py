@@ -227,6 +227,15 @@ class Fragments:
         values = [lookup(c, face, boxes) for c in self.corners(attribute, span=span)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
+    def interpolate_indexed(self, layer: Layer, attribute: Node, faces: np.ndarray, weights: Sequence[Node] | None = None,
+                            span: Span | None = None) -> Node:
+        """An attribute of corners at the layer's point: a table, and (F, 3) which entry each corner has, of all of the mesh's faces."""
+        weights, topology = weights or self.barycentrics(layer), (span or self).topology
+        index = np.take_along_axis(np.asarray(faces)[topology.kept], _order(topology), 1)
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        values = [lookup(lookup(attribute, np.tile(index[:, k], self.atlas.views)), face, boxes) for k in range(3)]
+        return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+
     def of_face(self, layer: Layer, values: Node, span: Span | None = None) -> Node:
         """The entry of a table of views x faces (of all, or of the span) that belongs to the layer's face; zero where there is none."""
         return lookup(values, self.face_over_views(layer, span), self._boxes_of(span))
@@ -235,8 +244,12 @@ class Fragments:
                              span: Span | None = None) -> Node:
         """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
         weights, topology = weights or self.barycentrics(layer), (span or self).topology
-        order = np.argsort(topology.faces, axis=1, kind="stable")
-        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order[..., None], 1)
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], _order(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+
+
+def _order(topology: Topology) -> np.ndarray:
+    """(F, 3): which corner of each face as the mesh has it is the first, second and third of the sorted one."""
+    return np.argsort(topology.faces, axis=1, kind="stable")
