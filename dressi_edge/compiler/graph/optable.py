@@ -280,7 +280,7 @@ def _placed(row: Op, inputs: tuple[Node, ...]) -> tuple[Node, ...]:
     inputs = list(inputs)
     for k, other in row.alike:
         x, extent = inputs[k], inputs[other].extent
-        if x.extent != extent:
+        if (x.extent.width, x.extent.height) != (extent.width, extent.height):
             if x.extent != UNIT:
                 raise GraphError(f"{row.name}: {row.params[k]} {x!r} has another extent than {row.params[other]} {inputs[other]!r}; equal "
                                  "ones or 1x1 are allowed")

@@ -108,7 +108,14 @@ def _slot_ref(flags, entries, running, each):
     return np.where(flags.reshape(-1) != 0, slot, -1).reshape(flags.shape)
 
 
-op("slot_of", "flags entries running", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="own texel texel",
+def _slot_infer(name, inputs, attrs):
+    flags, entries, _ = inputs
+    if entries.extent.count < flags.extent.count:
+        raise GraphError(f"{name}: the list {entries!r} has no room for all of {flags!r}")
+    return "int", flags.extent
+
+
+op("slot_of", "flags entries running", infer=_slot_infer, reads="own texel texel",
    ref=_slot_ref, cost=16,
    glsl="""{ int low_ = 0, high_ = {flags} != 0 ? {running}(ivec2({running_w} - 1, {running_h} - 1)) / {each} : 0;
   while (low_ < high_) { int mid_ = (low_ + high_) >> 1; if ({entries_at}(mid_) < {i}) low_ = mid_ + 1; else high_ = mid_; }

@@ -22,7 +22,7 @@ def _join_infer(name, inputs, attrs):
     rows = attrs["rows"]
     if a.vtype != b.vtype:
         raise GraphError(f"join: {a!r} and {b!r} have different types; one type is needed")
-    if rows < 1 or a.extent.count % rows or b.extent.count % rows:
+    if rows < 1 or (a.extent.count, b.extent.count) != (rows * attrs["na"], rows * attrs["nb"]):
         raise GraphError(f"join: {a!r} and {b!r} are not both {rows} rows of entries")
     return a.vtype, table(a.extent.count + b.extent.count)
 

@@ -23,7 +23,7 @@ def _boxed_sample(rng):
 
 def _segment_ref(values, index, box, *_, **attrs):
     out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
-    ys, xs = np.nonzero(index[..., 0] >= 0)
+    ys, xs = np.nonzero((index[..., 0] >= 0) & (index[..., 0] < len(out)))
     entry = index[ys, xs, 0]
     b = box.reshape(-1, 4)[entry]
     inside = (xs >= b[:, 0]) & (ys >= b[:, 1]) & (xs < b[:, 2]) & (ys < b[:, 3])

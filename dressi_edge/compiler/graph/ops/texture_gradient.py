@@ -125,7 +125,7 @@ def _footprint_ref(uv, covered, width, height, wrap):
     s = uv * size - 0.5
     s = np.clip(s, 0, size - 1) if wrap == "clamp" else s
     base = np.floor(s)
-    return np.concatenate([np.where(covered != 0, base % size, [-1, 0]), s - base], 2)
+    return np.concatenate(np.broadcast_arrays(np.where(covered != 0, base % size, [-1, 0]), s - base), 2)
 
 
 _ROUNDED = {
@@ -153,8 +153,14 @@ def _keys_ref(footprint, width, count):
     return np.stack([keys, np.arange(len(keys))], 1).reshape(e.height, e.width, 2)
 
 
-op("texture_keys", "footprint", reads="texel", ref=_keys_ref, cost=30,
-   infer=lambda name, inputs, attrs: ("ivec2", table(inputs[0].extent.width * inputs[0].extent.height)),
+def _keys_infer(name, inputs, attrs):
+    pixels = inputs[0].extent.width * inputs[0].extent.height
+    if not 0 < attrs["count"] <= pixels:
+        raise GraphError(f"{name}: {attrs['count']} pixels of {inputs[0]!r}")
+    return "ivec2", table(pixels)
+
+
+op("texture_keys", "footprint", reads="texel", ref=_keys_ref, cost=30, infer=_keys_infer,
    glsl="""{y} = ivec2(2147483647, {i});
     if ({i} < {count}) { vec2 f_ = {footprint_at}({i}).xy; if (f_.x >= 0.0) {y}.x = int(f_.y) * {width} + int(f_.x); }""",
    sample=lambda rng: ([_footprint_ref(rng.uniform(-1, 2, (6, 5, 2)), rng.integers(0, 2, (6, 5, 1)), 8, 3, "repeat")],
