@@ -39,6 +39,8 @@ def places(x, found: list) -> list:
 def mutate_fields(d: dict, r: random.Random) -> None:
     for _ in range(r.choice((1, 1, 1, 2, 3))):
         found = places(d, [])
+        if not found:  # a mutation before took all there was
+            return
         x, key = r.choice(found)
         old = x[key]
         kind = r.randrange(8)

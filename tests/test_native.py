@@ -21,6 +21,8 @@ import test_checkpoint
 from dressi_edge import runtime
 from dressi_edge.cache import bundle, pipeline_cache
 from dressi_edge.cache.errors import BundleError
+from dressi_edge.cache.profile import Profile
+from dressi_edge.cache.profile_check import check
 from dressi_edge.runtime.emulate import EmulatedDevice
 
 pytest_plugins = ["gpu"]
@@ -452,3 +454,65 @@ def test_compiled_pipelines_are_kept_for_the_next_process_and_for_python(gpu, pl
     assert run() == ("stored", [0])
     assert sorted(p.name for p in folder.iterdir()) == sorted([file.name, "other", f"{1:040}.pipelines"])
     assert run(DRESSI_CACHE="", XDG_CACHE_HOME=str(tmp_path / "xdg")) == ("stored", [0]) and [*(tmp_path / "xdg" / "dressi_edge").iterdir()]
+
+
+# dressi-play
+
+
+@pytest.fixture(scope="module")
+def play(player):
+    """Runs the program; the finished process."""
+    built = player.program.parent
+    subprocess.run(["make", "-s", "-C", ROOT / "android" / "native", f"BUILD={built}", "SANITIZE=1", built / "dressi-play"], check=True)
+    return Player(built / "dressi-play", player.shim)
+
+
+def test_a_captured_profile_is_that_of_python_to_the_byte(play, tmp_path):
+    assert jobs.command("profiles", "capture", "-n", "here", "--device", "llvmpipe", "-o", tmp_path / "python.json").returncode == 0
+    done = play("capture", "--name", "here", "--output", tmp_path / "native.json")
+    assert done.stdout == f"{tmp_path / 'native.json'}: profile here\n"
+    assert (tmp_path / "native.json").read_bytes() == (tmp_path / "python.json").read_bytes()
+    profile = Profile.load(tmp_path / "native.json")
+    assert profile.name == "here" and check(profile) == check(Profile.load(tmp_path / "python.json"))
+    assert play("capture", "--name", "Not so").stderr == "dressi-play: profile name 'Not so': 1 to 64 of a-z, 0-9 and _ are allowed\n"
+    assert play("devices").stdout == jobs.command("devices").stdout
+
+
+@pytest.mark.parametrize("name", ["subpasses", "variants", "copies"])
+def test_a_bundle_is_told_as_python_tells_it(play, name):
+    path = FOLDER / f"{name}.dressi"
+    assert play("verify", path).stdout == jobs.command("verify", path).stdout
+    told = re.sub(r"\d+ functions, |needs of the device: .*", "", jobs.command("inspect", path).stdout).splitlines()
+    found = play("inspect", path).stdout.splitlines()
+    assert len(told) > 5 and [line for line in told if line not in found] == []
+
+
+def test_a_bundle_is_run_and_goes_on(gpu, play, tmp_path):
+    path, folder = FOLDER / "copies.dressi", tmp_path
+    uv = make_vectors.load("copies")[0][0][2]
+    (folder / "uv").write_bytes(uv.tobytes())
+    first = play("run", path, "--phase", "fit", "--steps", 3, "--set", f"uv={folder / 'uv'}", "--checkpoint", folder / "c", "--explain")
+    assert first.returncode == 0 and re.match(r"fit: 3 steps, .* ms a step\n\{", first.stdout), first.stderr
+    second = play("run", path, "--phase", "fit", "--steps", 2, "--restore", folder / "c", "--get", f"texels={folder / 'texels'}")
+    assert second.returncode == 0, second.stderr
+    with runtime.load(path, gpu.device) as session:
+        session.set("uv", uv)
+        session.step(5, "fit")
+        assert session.get("texels").tobytes() == (folder / "texels").read_bytes()
+    told = play("bench", FOLDER / "states.dressi", "--steps", 4).stdout
+    assert re.fullmatch(r"opened in .* ms\n((walk|rest): the first step .* ms, then .* ms, the median of 4 .*\n){2}", told)
+
+
+def test_words_that_are_wrong_are_named(play, tmp_path):
+    ops, states = FOLDER / "ops.dressi", FOLDER / "states.dressi"
+    for words, code, told in (
+            ((), INPUT, "needed: run, bench"), (("dance", ops), INPUT, "dance is none of run, bench"),
+            (("run", ops, "--loud", "x"), INPUT, "--loud is not understood"), (("run", ops, "--steps"), INPUT, "needs a word"),
+            (("run", ops, "--steps", "many"), INPUT, "--steps many: a number"), (("run", ops, ops), INPUT, "one bundle is enough"),
+            (("run", ops, "--get", "y"), INPUT, "--get y: NAME=FILE is needed"), (("run", states), INPUT, "phase walk says no number"),
+            (("run", states, "--phase", "jump"), INPUT, "--phase jump is no phase"),
+            (("run", ops, "--set", "x=/nothing"), INPUT, "/nothing cannot be read: No such file"),
+            (("verify", ROOT / "README.md"), BUNDLE, "not a bundle"), (("verify", states, "--pin", "0" * 64), BUNDLE, "the pin is"),
+            (("run", states, "--device", "nothing"), DEVICE, "no Vulkan device is called 'nothing'; there are")):
+        done = play(*words)
+        assert done.returncode == code and done.stderr.startswith("dressi-play: ") and told in done.stderr, (words, done.stderr)
