@@ -93,3 +93,11 @@ def to_clip(positions: Node, views: ViewTable) -> Node:
     k = at(views.projection)
     scale = views.far / (views.far - views.near)
     return compose(k.x * x + k.z * w, k.w * w - k.y * y, scale * (w - views.near), w)
+
+
+def depths(positions: Node, views: ViewTable) -> Node:
+    """Of points, how far along each view's axis they lie from its eye: a view-major float table of N x V."""
+    count, n = positions.extent.count, views.count
+    p = lookup(positions, np.tile(np.arange(count), n)) if n > 1 else positions
+    row = lookup(views.rows[2], np.repeat(np.arange(n), count)) if n > 1 else views.rows[2]
+    return -dot(row, compose(p.x, p.y, p.z, 1.0))

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property
 
+import numpy as np
+
 from ...cache.errors import InputError
 from ..graph.functions import apply, compose, constant_table, lookup, select, to_float, to_int
 from ..graph.ir import UNIT, Node, intern, rebuild, topological
@@ -185,6 +187,27 @@ class Frame:
         a = self.atlas
         corner = [(v % a.columns * a.width, v // a.columns * a.height) for v in range(a.views)]
         return lookup(table, self.view, constant_table([(x, y, x + a.width, y + a.height) for x, y in corner]))
+
+    @property
+    def cell(self) -> tuple[int, int]:
+        """Width and height of a view in the frame's images: what `convolve`, `ssim_loss`, `pyramid_l1` and the like want to know."""
+        return self.atlas.width, self.atlas.height
+
+    def per_view(self, values) -> Node:
+        """Numbers of all views of the scene, (views,) or (views, channels), or a table of them, each over the pixels of its view: weights
+        of views in a mask, exposures, colours. Raises InputError."""
+        count = self.all_views.views
+        if not isinstance(values, Node):
+            values = np.asarray(values, float)
+            if values.ndim not in (1, 2) or len(values) != count or values.ndim == 2 and not 1 <= values.shape[1] <= 4:
+                raise InputError(f"values of views have shape {values.shape}; ({count},) or ({count}, 1 to 4) is needed")
+            values = constant_table(values)
+        if values.extent.count != count:
+            raise InputError(f"values of views are {values!r} of {values.extent.count} entries; a table of {count} views is needed")
+        if self.chosen is not None:
+            values = lookup(values, self.chosen)
+        image = self.of_view(values)
+        return image if image.extent == self.atlas.extent else apply("broadcast", image, extent=self.atlas.extent)
 
     def at(self, image: Node) -> Node:
         """Of an image over all views of the scene, the views of this frame: the image itself, or the cell of the chosen view."""

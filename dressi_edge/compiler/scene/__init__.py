@@ -7,10 +7,21 @@ from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
 from ..render.light import Light
 from ..render.loss import (
+    charbonnier,
     cotangent_laplacian,
+    depth_loss,
+    edge_length,
+    face_points,
+    huber,
     l1,
     l2,
+    landmarks,
+    mean_square,
     normal_consistency,
+    normal_loss,
+    pyramid_l1,
+    ssim,
+    ssim_loss,
     uniform_laplacian,
 )
 from ..render.material import BlinnPhong, Lambert, Texture, Unlit, Vertex
@@ -22,7 +33,8 @@ from ..render.tone import encode_srgb
 from .problem import Loss, Problem
 from .scene import Scene
 
-__all__ = ["Adam", "BlinnPhong", "Camera", "F", "HardSoftRas", "Lambert", "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem",
-           "Renderer", "Scene", "Schedule", "Sgd", "Softness", "Surface", "Texture", "Unlit", "Vertex", "Views", "cotangent_laplacian",
-           "encode_srgb", "icosphere", "l1", "l2", "load_mesh", "load_views", "look_at", "normal_consistency", "orbit", "pear", "sphere",
-           "uniform_laplacian"]
+__all__ = ["Adam", "BlinnPhong", "Camera", "F", "HardSoftRas", "Lambert", "Light", "Loss", "Mesh", "Optimizer", "Outline",
+           "Problem", "Renderer", "Scene", "Schedule", "Sgd", "Softness", "Surface", "Texture", "Unlit", "Vertex", "Views",
+           "charbonnier", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points", "huber",
+           "icosphere", "l1", "l2", "landmarks", "load_mesh", "load_views", "look_at", "mean_square", "normal_consistency",
+           "normal_loss", "orbit", "pear", "pyramid_l1", "sphere", "ssim", "ssim_loss", "uniform_laplacian"]

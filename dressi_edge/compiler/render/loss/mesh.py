@@ -1,15 +1,11 @@
-"""Losses of images and regularizers of meshes: graph in, a 1x1 float out.
-
-Means count every texel of the extent and no padding. Regularizers take the vec3 table of vertex positions and the topology, and
-give zero with zero gradient wherever a length or an angle is not defined.
-"""
+"""Regularizers of meshes: the vec3 table of vertex positions and the topology in, a 1x1 float out, zero with zero gradient wherever a
+length or an angle is not defined."""
 from __future__ import annotations
 
 import numpy as np
 
-from ...cache.errors import GraphError
-from ..graph.functions import (
-    absolute,
+from ....cache.errors import GraphError
+from ...graph.functions import (
     clamp,
     compose,
     constant_table,
@@ -22,40 +18,15 @@ from ..graph.functions import (
     select,
     sqrt,
     stop_gradient,
-    total,
 )
-from ..graph.ir import Node
-from ..graph.optable import apply, as_node
-from .normals import DEGENERATE, check_positions, corners, incidence, unit_face_normals
-from .topology import Topology
+from ...graph.ir import Node
+from ...graph.optable import apply, as_node
+from ..normals import DEGENERATE, check_positions, corners, incidence, unit_face_normals
+from ..topology import Topology
 
 # Limits of one corner's cotangent. The lower one keeps weights positive, so that each vertex is drawn to a point between its
 # neighbours on any mesh: angles over 89.9 degrees count as that. The upper one (2.9 degrees) stops slivers from taking over.
 COTANGENTS = (1e-3, 20.0)
-
-
-def _image_mean(difference: Node, channels: int, mask: Node | None) -> Node:
-    if mask is not None:
-        mask = as_node(mask)
-        if mask.vtype != "float":
-            raise GraphError(f"mask {mask!r} is not a float image")
-        difference = difference * mask
-    return total(difference) * (1.0 / (difference.extent.count * channels))
-
-
-def l1(image: Node, target: Node, mask: Node | None = None) -> Node:
-    """Mean over texels and channels of |image - target|: float or vec images of equal extent (or 1x1).
-
-    mask: a float image in [0, 1] that weighs each texel; the mean is still over all texels, so the loss shrinks with the mask.
-    """
-    d = absolute(image - target)
-    return _image_mean(apply("sum_channels", d) if d.channels > 1 else d, d.channels, mask)
-
-
-def l2(image: Node, target: Node, mask: Node | None = None) -> Node:
-    """Mean over texels and channels of (image - target)^2; see `l1` for shapes and the mask."""
-    d = image - target
-    return _image_mean(dot(d, d), d.channels, mask)
 
 
 def _mean_length(d: Node, power: int) -> Node:
@@ -100,6 +71,22 @@ def cotangent_laplacian(positions: Node, topology: Topology, power: int = 1) -> 
     weight = stop_gradient(around.w)
     some = weight > 0.0
     return _mean_length(select(some, around.xyz, 0.0) / select(some, weight, 1.0), power)
+
+
+def edge_length(positions: Node, topology: Topology, rest=0.0) -> Node:
+    """Mean over edges of (length - rest)^2. rest: a length in units of the scene, from 0 on, or one for each edge of `topology.edges`,
+    (E,): an array, or a float table. Raises GraphError."""
+    check_positions(positions, topology.vertex_count)
+    edges = topology.edges
+    d = lookup(positions, edges[:, 0]) - lookup(positions, edges[:, 1])
+    if not isinstance(rest, Node):
+        array = np.asarray(rest, np.float64)
+        if array.shape not in ((), (len(edges),)) or not np.isfinite(array).all() or (array < 0).any():
+            raise GraphError(f"edge_length: rest is {rest!r:.60}; a length from 0 on, or one for each of {len(edges)} edges, is needed")
+        if not array.any():
+            return mean(dot(d, d))
+        rest = as_node(float(array)) if array.ndim == 0 else constant_table(array)
+    return mean((length(d) - rest) ** 2)
 
 
 def _edge_signs(topology: Topology, edge: np.ndarray, pair: np.ndarray) -> np.ndarray:
