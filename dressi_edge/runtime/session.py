@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..cache import bundle as bundles
+from ..cache import vjp
 from ..cache.copies import kinds
 from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
@@ -375,6 +376,17 @@ class Session:
         waiting, end = set(self._waiting), time.perf_counter() + 1.0
         while waiting & self._waiting and time.perf_counter() < end:
             time.sleep(1e-4)
+
+    @_serial
+    def forward(self, name: str) -> dict[str, np.ndarray]:
+        """The outputs of `Scene.vjp(name)` with the parameters as they are, by their short names. Raises InputError."""
+        return vjp.forward(self, name)
+
+    @_serial
+    def backward(self, name: str, **gradients) -> dict[str, np.ndarray]:
+        """By parameter, the gradient of whatever has these gradients by the outputs of `name` (arrays of their shapes; none: zero).
+        What was drawn for `forward` is not drawn again. Raises InputError."""
+        return vjp.backward(self, name, gradients)
 
     def loss(self) -> float:
         """The loss of the current phase at the current state."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...cache import vjp
 from ...cache.errors import InputError
 from ...cache.steps import bounded, check_step
 from .ir import Node, topological
@@ -113,6 +114,14 @@ class ReferenceSession:
             return (time.perf_counter() - start) / max(count, 1)
 
         return bounded(n, run, seconds, stop)
+
+    def forward(self, name: str) -> dict[str, np.ndarray]:
+        """As a session of the runtime has it."""
+        return vjp.forward(self, name)
+
+    def backward(self, name: str, **gradients) -> dict[str, np.ndarray]:
+        """As a session of the runtime has it."""
+        return vjp.backward(self, name, gradients)
 
     def loss(self) -> float:
         return float(self.get(f"{self.phase}.loss"))
