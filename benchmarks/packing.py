@@ -32,7 +32,7 @@ sys.path[:0] = [str(ROOT)]
 
 from dressi_edge.cache.profile import Profile, profile_names  # noqa: E402
 from dressi_edge.cache.summary import summary  # noqa: E402
-from dressi_edge.compiler import describe  # noqa: E402
+from dressi_edge.compiler import Options, build  # noqa: E402
 from dressi_edge.compiler.io.cameras import Camera, orbit  # noqa: E402
 from dressi_edge.compiler.io.meshes import Mesh  # noqa: E402
 from dressi_edge.compiler.io.shapes import icosphere, pear  # noqa: E402
@@ -78,7 +78,7 @@ def rows(name: str, problem: Problem, profiles: Sequence[Profile]) -> list[dict]
     out = []
     for profile in profiles:
         for cache in (False, True):
-            plans = summary(describe(problem.program, profile, cache=cache)[0])
+            plans = summary(build(problem.program, profile, Options(cache=cache)).description)
             before = [counts for plan, counts in plans.items() if plan.startswith("step.prepare")]
             prepare = {key: sum(counts[key] for counts in before) for key in COUNTS} if before else None
             out.append({"problem": name, "profile": profile.name, "cache": cache, "step": plans["step"], "prepare": prepare})

@@ -46,7 +46,7 @@ from dressi_edge.cache import bundle as bundles  # noqa: E402
 from dressi_edge.cache.profile import Profile  # noqa: E402
 from dressi_edge.cache.summary import summary  # noqa: E402
 from dressi_edge.cache.vulkan import FORMATS, USAGE_TRANSFER_SRC  # noqa: E402
-from dressi_edge.compiler import describe  # noqa: E402
+from dressi_edge.compiler import Options, build  # noqa: E402
 from dressi_edge.compiler.io.cameras import Camera, orbit  # noqa: E402
 from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize  # noqa: E402
 from dressi_edge.compiler.io.shapes import icosphere, pear  # noqa: E402
@@ -124,11 +124,11 @@ class Case:
     """A problem compiled and opened, with what the yardsticks need."""
 
     def __init__(self, problem: Problem, folder: Path, options: argparse.Namespace, phase: str = "fit", **how):
-        """`how`: what else `describe` takes."""
+        """`how`: fields of `Options`."""
         self.path, self.faces, self.device_name = folder / "problem.dressi", len(problem.topology.faces), options.device
-        description, assembler = describe(problem.program, Profile.load(options.profile), **how)
-        bundles.write(self.path, description, assembler.blobs)
-        self.labels = [label(stage, problem) for stage in dict(assembler.stage_lists)[phase]]
+        built = build(problem.program, Profile.load(options.profile), Options(**how))
+        bundles.write(self.path, built.description, built.blobs)
+        self.labels = [label(stage, problem) for stage in built.stages[phase]]
         self.plan, self.session = phase, runtime.load(self.path, options.device)
         self.bytes = summary(self.session.bundle.description)[phase]["bytes_per_step"]
         if "targets" in self.session.values:

@@ -35,7 +35,7 @@ from step import Meter, options_of, rounded, table, take_turns, versions
 from dressi_edge import runtime
 from dressi_edge.cache.profile import Profile
 from dressi_edge.cache.summary import image_bytes, summary
-from dressi_edge.compiler import describe
+from dressi_edge.compiler import Options, build
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.io.shapes import pear, sphere
 from dressi_edge.compiler.render.light import Light
@@ -98,7 +98,7 @@ def measure(name: str, problem: Problem, steps: int, targets: np.ndarray, device
         for storage in STORAGES:
             path = folder / f"{storage}.dressi"
             made = problem.compile(options.profile, path, storage=storage)
-            tiled, _ = describe(problem.program, Profile.load(TILED), storage=storage)
+            tiled = build(problem.program, Profile.load(TILED), Options(storage=storage)).description
             counts, counts_tiled = summary(made)["step"], summary(tiled)["step"]
             extent = problem.all_views.extent
             rows[storage] = {"case": name, "storage": storage, "MB": rounded(counts["bytes_per_step"] / 1e6),

@@ -16,7 +16,7 @@ from dressi_edge import runtime
 from dressi_edge.cache.bundle import combine, dumps, version_of
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
-from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, constant_table, dot, lookup, mean, to_float, total
 from dressi_edge.compiler.render.atlas import Atlas
@@ -170,8 +170,8 @@ OPTIONS = {"copies": {"sparse_texels": 1}, "half": {"storage": "half"}}  # 1: it
 def compiled(name: str) -> tuple[bytes, list]:
     """The bundle's bytes, and what to do with it."""
     program, steps = VECTORS[name]()
-    made = [(description, assembler.blobs) for description, assembler in (
-        describe(program, Profile.load(profile), **{"storage": "float"} | OPTIONS.get(name, {}))
+    made = [(built.description, built.blobs) for built in (
+        build(program, Profile.load(profile), Options(**{"storage": "float"} | OPTIONS.get(name, {})))
         for profile in PROFILES.get(name, (PROFILE,)))]
     return dumps(*(combine(made) if len(made) > 1 else made[0]), version_of([description for description, _ in made])), steps
 

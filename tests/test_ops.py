@@ -21,7 +21,7 @@ from dressi_edge.compiler.graph.ir import image as image_extent
 from dressi_edge.compiler.graph.ops.arithmetic import _compare
 from dressi_edge.compiler.graph.ops.lookup import to_table
 from dressi_edge.compiler.graph.ops.raster_reference import segment_distance2
-from dressi_edge.compiler.graph.optable import OPS, elementwise, floats, integers
+from dressi_edge.compiler.graph.optable import EMPTY, NEGATIVE, OPS, ZERO, elementwise, floats, integers
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.raster import Softness, rasterized
@@ -74,6 +74,31 @@ def test_every_row_has_its_place_in_these_tests():
             "rasterize_segments"} == {o.name for o in RASTER}
     tested = {o.name for o in (*SNIPPETS, *RASTER)} | leaves | {"sum"}
     assert tested == OPS.keys()
+
+
+# Facts
+
+
+@pytest.mark.parametrize("o, when", [pytest.param(o, when, id=f"{o.name}-{o.params[when.input]}-{when.what}")
+                                     for o in OPS.values() for when in o.when])
+def test_an_input_makes_of_the_result_what_the_table_says(o, when):
+    arguments, attrs = sample(o)
+    arrays = [evaluate([x], {})[0] if isinstance(x, Node) else x for x in arguments]
+    x = arrays[when.input]
+    forced = {ZERO: np.zeros_like(x), NEGATIVE: -1 - abs(x), EMPTY: np.stack([abs(x[..., 0]), abs(x[..., 0]) - 1], -1)}
+
+    def result(x):
+        return o.ref(*arrays[:when.input], x, *arrays[when.input + 1:], **attrs)
+
+    assert (result(forced[when.what]) == when.result).all()
+    assert (result(np.ones_like(x) if when.flag else x) != when.result).any(), "the sample would not show it"
+
+
+@pytest.mark.parametrize("o", [o for o in OPS.values() if o.chooses], **ids)
+def test_a_choice_is_one_of_two_inputs(o):
+    rng = seeded(o.name)
+    by, yes, no = rng.integers(0, 2, (4, 5, 1)), rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))
+    np.testing.assert_array_equal(o.ref(by, yes, no), np.where(by != 0, yes, no))
 
 
 # Gradients

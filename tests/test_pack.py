@@ -15,7 +15,7 @@ from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.errors import PackError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
-from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.formats import format_bits
 from dressi_edge.compiler.graph.functions import apply, constant_table, dot, gather_sum, mean, select, sigmoid, total
@@ -72,7 +72,7 @@ def test_what_is_read_only_where_something_is_named_is_not_cleared(gpu, read, cl
     program.plan("all", {}, {name: outputs[name] for name in read})
     picked = np.where((np.arange(32) < 11)[:, None] & (np.arange(32) > 20), rng.integers(-1, 5, (32, 32)), -1)
     feed = {"names": picked, "table": rng.normal(size=(5, 3))}
-    description, _ = describe(program, Profile.load("lavapipe"))
+    description = build(program, Profile.load("lavapipe")).description
     guarded = [stage for stage in description["plans"][0]["stages"] if stage["width"] == 32]
     loads = [a["load"] for stage in guarded for a in description["passes"][stage["pass"]]["attachments"]]
     assert loads.count(v.LOAD_CLEAR) == cleared and loads.count(v.LOAD_DONT_CARE) == 1
@@ -113,7 +113,8 @@ def test_no_pass_asks_for_more_than_the_profile_allows(profile):
     profile = Profile.load(profile)
     for seed in (0, 1, 2):
         graph, _ = given(seed, 60)
-        description, assembler = describe(graph.program, profile)
+        built = build(graph.program, profile)
+        description = built.description
         found = list(demands(description))
         assert found
         for plan, counts in found:
@@ -121,7 +122,7 @@ def test_no_pass_asks_for_more_than_the_profile_allows(profile):
                 assert count <= profile.limit(name), f"{plan}: {name}"
         for name, count in description["needs"]["limits"].items():
             assert count <= profile.limit(name), name
-        for _, stages in assembler.stage_lists:
+        for stages in built.stages.values():
             for s in (s for stage in stages for s in stage.substages):
                 bits = sum(format_bits(n) for n in s.outputs)
                 assert not profile.tile_bits or bits <= profile.tile_bits or len(s.outputs) == 1
@@ -131,8 +132,8 @@ def test_no_pass_asks_for_more_than_the_profile_allows(profile):
 def test_what_is_read_was_written_before_and_each_root_is_written_once(profile):
     for seed in (0, 1, 2):
         graph, _ = given(seed)
-        _, assembler = describe(graph.program, Profile.load(profile))
-        for _, stages in assembler.stage_lists:
+        built = build(graph.program, Profile.load(profile))
+        for stages in built.stages.values():
             written = set()
             for s in (s for stage in stages for s in stage.substages):
                 for x, _ in s.reads:
@@ -143,7 +144,7 @@ def test_what_is_read_was_written_before_and_each_root_is_written_once(profile):
 
 def test_packing_makes_far_fewer_passes_than_functions():
     def passes(graph, naive):
-        return sum(len(stages) for _, stages in describe(graph.program, Profile.load("lavapipe"), naive=naive)[1].stage_lists)
+        return sum(map(len, build(graph.program, Profile.load("lavapipe"), Options(naive=naive)).stages.values()))
 
     graphs = [given(seed)[0] for seed in range(2)]
     assert sum(passes(g, False) for g in graphs) < sum(passes(g, True) for g in graphs) / 2
@@ -205,7 +206,7 @@ def test_a_function_that_fits_no_profile_is_named_with_the_limit():
     x = program.input("x", Layout("image", "float", 5000, 2))
     program.plan("p", {}, {"y": (x * 2.0, Layout("image", "float", 5000, 2))})
     with pytest.raises(PackError, match=r"mul.*5000 maxFramebufferWidth; profile limit4 allows 4096"):
-        describe(program, Profile.load("limit4"))
+        build(program, Profile.load("limit4"))
 
 
 # Splitting is fast, and does what it did when it was simple
@@ -323,8 +324,8 @@ def test_one_program_is_one_bundle_whatever_the_process_its_hashes_and_its_histo
 @pytest.mark.parametrize("seed", range(3))
 def test_one_program_built_or_compiled_twice_is_one_bundle(seed):
     def dumped(graph):
-        description, assembler = describe(graph.program, Profile.load("limit4"))
-        return bundle.dumps(description, assembler.blobs)
+        built = build(graph.program, Profile.load("limit4"))
+        return bundle.dumps(built.description, built.blobs)
 
     graph, _ = given(seed)
     first = dumped(graph)
@@ -338,9 +339,9 @@ def test_one_program_built_or_compiled_twice_is_one_bundle(seed):
 def test_what_is_packed_is_what_simplify_left():
     """Every root is written, and no composite op is left for a shader to do."""
     graph, _ = given(0)
-    _, assembler = describe(graph.program, Profile.load("lavapipe"), cache=False)
+    built = build(graph.program, Profile.load("lavapipe"), Options(cache=False))
     roots = simplify(lower([n for spec in graph.program.plans for n in spec.outputs.values()]))
-    packed = {n for _, stages in assembler.stage_lists for stage in stages for s in stage.substages for n in s.nodes}
+    packed = {n for stages in built.stages.values() for stage in stages for s in stage.substages for n in s.nodes}
     assert {n for n in roots if n.op.stage == "pixel"} <= packed
     assert all(n.op.stage in ("pixel", "raster") for n in packed)
     assert not any(n.op.stage == "composite" for n in topological(roots))

@@ -12,7 +12,7 @@ import pytest
 from dressi_edge import runtime
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
-from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler import Program, build
 from dressi_edge.compiler.graph.functions import apply, total
 from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.meshes import Mesh
@@ -237,7 +237,7 @@ def layered():
 
 
 def test_what_is_known_beforehand_from_one_input_is_not_computed_again_when_another_is_new():
-    description, _ = describe(layered(), Profile.load("limit4"))
+    description = build(layered(), Profile.load("limit4")).description
     names = [value["name"] for value in description["values"]]
     plans = {plan["name"]: plan for plan in description["plans"]}
     found = {name: set() for name in plans if "prepare" in name}

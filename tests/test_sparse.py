@@ -7,7 +7,7 @@ from dressi_edge.cache.errors import InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.cache.vulkan import STAGE_VERTEX
-from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, constant, dot, mean, total
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
@@ -115,7 +115,7 @@ class Pair:
 
 
 def told(fit, **how):
-    return describe(fit.program, Profile.load("lavapipe"), **{"sparse_texels": 1, **how})[0]["meta"].get("texels", {})
+    return build(fit.program, Profile.load("lavapipe"), Options(**{"sparse_texels": 1, **how})).description["meta"].get("texels", {})
 
 
 # The same bits
@@ -251,7 +251,7 @@ def test_steps_and_losses_neither_make_nor_give_back_lists(gpu):
 def test_a_step_costs_what_the_list_holds_not_what_the_image_has():
     """All that the step draws over the image's size is drawn as far as there are entries; nothing of it touches the image itself."""
     fit = Fit(size=(64, 48))
-    description, assembler = describe(fit.program, Profile.load("lavapipe"), sparse_texels=1)
+    description = build(fit.program, Profile.load("lavapipe"), Options(sparse_texels=1)).description
     plan, states = next(p for p in description["plans"] if p["name"] == "fit"), {v["image"]: v["name"] for v in description["values"]}
 
     def by_entries(draw):

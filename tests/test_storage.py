@@ -15,7 +15,7 @@ from dressi_edge.cache.profile import Profile
 from dressi_edge.cache.verify import violations
 from dressi_edge.cache.vulkan import HALF_FORMATS
 from dressi_edge.cli import main
-from dressi_edge.compiler import Program, describe
+from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.functions import apply, constant_table, dot, lookup, total
 from dressi_edge.compiler.graph.ir import topological
 from dressi_edge.compiler.graph.ops.half import LARGEST
@@ -99,7 +99,7 @@ def test_gradients_of_pixels_and_targets_are_halved_and_nothing_else(scene):
     roots = [n for s in new.plans for n in (*s.updates.values(), *s.outputs.values())]
     users = {n: [(u, k) for u in topological(roots) for k, x in enumerate(u.inputs) if x is n] for n in halves(program)}
     assert users and all(k in u.op.sums for found in users.values() for u, k in found)
-    d, assembler = describe(program, Profile.load("lavapipe"), storage="half")
+    d = build(program, Profile.load("lavapipe"), Options(storage="half")).description
     values = {value["image"]: value["name"] for value in d["values"]}
     assert {values[k] for k, image in enumerate(d["images"]) if image["format"] in HALF_FORMATS and k in values} == {"targets"}
     assert not violations(d, Profile.load("lavapipe"))
@@ -166,7 +166,7 @@ def test_what_is_known_beforehand_is_stored_in_half_too(gpu):
     kept = apply("sin", apply("exp", apply("cos", weights)))
     g = apply("segment_sum", kept, index, box, apply("bin_names", index))
     program.plan("step", {"scale": scale * 0.5}, {"g": (g * lookup(scale, np.zeros(4, int)), table)})
-    d, _ = describe(program, Profile.load("lavapipe"), storage="half")
+    d = build(program, Profile.load("lavapipe"), Options(storage="half")).description
     assert sum(i["format"] in HALF_FORMATS for i in d["images"]) == 1
     data = np.random.default_rng(2).uniform(0, 3, (8, 8))
     with gpu.open(program, storage="half") as session:

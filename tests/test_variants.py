@@ -146,9 +146,9 @@ def test_variants_of_different_problems_are_refused():
     for name, size in (("limit8", 3), ("limit4", 4)):
         p, layout = Program(), Layout("image", "float", size, 2)
         p.plan("p", {}, {"y": (p.input("x", layout) * 2.0, layout)})
-        from dressi_edge.compiler import describe
-        description, assembler = describe(p, Profile.load(name))
-        made.append((description, assembler.blobs))
+        from dressi_edge.compiler import build
+        built = build(p, Profile.load(name))
+        made.append((built.description, built.blobs))
     with pytest.raises(BundleError, match=r"variants\[1\].values\[0\].width is 4; that of variants\[0\] is 3"):
         bundle.loads(bundle.dumps(*bundle.combine(made)))
 

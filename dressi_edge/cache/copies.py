@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+OUTPUT, PHASE, ENTER, LEAVE = "output", "phase", "enter", "leave"
+
 
 def kind_of(d: Mapping, plan: Mapping, before: Sequence[str]) -> str:
     """Of a plan, given those of the plans before it."""
-    if before and before[-1] == "enter":
-        return "leave"
-    if any(d["values"][x]["role"] == "copy" for x in plan["updates"]) and all(before[k] != "enter" for k in plan["needs"]):
-        return "enter"
-    return "phase" if plan["updates"] else "output"
+    if before and before[-1] == ENTER:
+        return LEAVE
+    if any(d["values"][x]["role"] == "copy" for x in plan["updates"]) and all(before[k] != ENTER for k in plan["needs"]):
+        return ENTER
+    return PHASE if plan["updates"] else OUTPUT
 
 
 def kinds(d: Mapping) -> list[str]:

@@ -1,53 +1,108 @@
-"""Offline: from a problem to a bundle for one device profile.
-
-    graph -> differentiate -> store in half -> simplify -> specialize (what is clean) -> pack -> plan -> GLSL -> SPIR-V -> bundle
-"""
+"""Offline: from a program to a bundle for one device profile, or several. `build` is the compiler, pass by pass."""
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from ..cache import bundle as _bundle
 from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
 from ..cache.errors import ProfileError
 from ..cache.profile import Profile
-from .backend.assembler import Assembler
-from .backend.inspect import count_functions, trace
+from .backend import dump, spirv
+from .backend.allocate import allocate
+from .backend.check import check, check_kinds
+from .backend.describe import describe, shaders
+from .backend.emit import emit
 from .backend.needs import needs
 from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
-from .passes.lists import MIN_TEXELS
+from .passes.domains import find_domains
+from .passes.groups import grouped, lowered
+from .passes.lists import MIN_TEXELS, find_lists
+from .passes.pack import pack
+from .passes.plans import PackedPlan, plan_graphs, stored
 from .passes.store import choose, halve
 
-__all__ = ["Program", "compile_program", "describe"]
+__all__ = ["Built", "Options", "Program", "build", "compile_program"]
 
 
-def describe(program: Program, profile: Profile, *, naive: bool = False, cache: bool = True, stage_packing: bool = True,
-             storage: str | None = None, sparse_texels: int | None = MIN_TEXELS) -> tuple[dict, Assembler]:
-    """The bundle's description without blobs, and the assembler that holds them and the stages."""
-    if choose(storage, [profile]):
-        program = halve(program)
-    assembler = Assembler(program, profile, naive, cache, stage_packing, sparse_texels)
-    description = assembler.assemble()
-    description["meta"] = {**program.meta, "functions": count_functions(assembler)}
-    if assembler.texels:
-        description["meta"]["texels"] = assembler.texels
-    description["profile"] = {"name": profile.name, "digest": profile.digest}
-    description["needs"] = needs(description)
-    description["depth_formats"] = [_v.DEPTH_FORMATS[name] for name in profile.depth_choice()]
-    return description, assembler
+@dataclass(frozen=True)
+class Options:
+    """How to compile. naive: one function a pass; cache=False: nothing is computed beforehand; stage_packing=False: one substage a pass;
+    domains=False: everything is drawn that need not keep what it does not write. These are twins of the same bits, for comparison.
+    storage: "half" stores targets and gradients of pixels in 16 bits a channel (docs/numerics.md), "float" does not; by default half
+    if all profiles prefer it. sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none
+    where it is None."""
+
+    naive: bool = False
+    cache: bool = True
+    stage_packing: bool = True
+    storage: str | None = None
+    sparse_texels: int | None = MIN_TEXELS
+    domains: bool = True
+
+    @property
+    def lists(self) -> int | None:
+        """`sparse_texels`, where lists can be: they are filled by plans of the cache."""
+        return self.sparse_texels if self.cache and not self.naive else None
 
 
-def compile_program(program: Program, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, *,
-                    naive: bool = False, cache: bool = True, stage_packing: bool = True, storage: str | None = None,
-                    sparse_texels: int | None = MIN_TEXELS) -> dict:
+@dataclass(frozen=True)
+class Built:
+    """description and blobs: the bundle. plans: as packed, with `stages`; shaders: the GLSL of each, ("vert" or "frag", text)."""
+
+    description: dict
+    blobs: list[bytes]
+    plans: tuple[PackedPlan, ...]
+    shaders: list[tuple[str, str]]
+
+    @property
+    def stages(self) -> dict:
+        """Plan -> its stages."""
+        return {plan.graph.name: plan.stages for plan in self.plans}
+
+
+def build(program: Program, profile: Profile, options: Options = Options(),  # noqa: B008  (frozen)
+          see: Callable[[str, object], None] = dump.nowhere) -> Built:
+    """The compiler. Each line is a pass; what it gives is shown to `see` under a name and checked by the verifier of its level. Gradients
+    are graph like the rest before it comes here (`graph/autodiff.py`); the first text says which nodes they are. Raises GraphError,
+    PackError, ProfileError, InputError, ShaderError."""
+    def checked(name: str, value):
+        see(name, value)
+        check(value, profile, options.naive)
+        return value
+
+    checked("built", program)
+    if choose(options.storage, [profile]):
+        program = checked("halved", halve(program))
+    groups = checked("simplified", lowered(grouped(program)))
+    if options.lists is not None:
+        groups = checked("listed", tuple(find_lists(group, program, profile, options.lists) for group in groups))
+    graphs = checked("specialized", plan_graphs(groups, program, options.cache))
+    graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
+    packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]
+    packed = checked("packed", tuple(replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed))
+    places = checked("placed", allocate(program, packed))
+    code = [emit(plan.stages, profile) for plan in packed]
+    see("shaders", glsl := shaders(code))
+    description, blobs = describe(program, packed, code, places, spirv.compile_all(glsl))
+    texels = {name: how for group in groups for name, how in group.told.items()}
+    description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed}}
+    if texels:
+        description["meta"]["texels"] = texels
+    description |= {"profile": {"name": profile.name, "digest": profile.digest}, "needs": needs(description),
+                    "depth_formats": [_v.DEPTH_FORMATS[name] for name in profile.depth_choice()]}
+    check_kinds(checked("described", description), packed)
+    return Built(description, blobs, packed, glsl)
+
+
+def compile_program(program: Program, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
     """Compile for a profile (or its name) and write the bundle; its description. For a list of profiles, best first, one bundle
-    with a variant for each: {"variants": [description]}. `naive`: one function a pass; `cache=False`: no reactive cache;
-    `stage_packing=False`: one substage a pass. `storage`: "half" stores targets and gradients of pixels in 16 bits a channel
-    (docs/numerics.md), "float" does not; by default half if all profiles prefer it. `sparse_texels`: of images of so many texels or
-    more the optimizer updates the touched ones alone, of none where it is None. Raises GraphError, PackError, ProfileError,
+    with a variant for each: {"variants": [description]}. options: the fields of `Options`. Raises GraphError, PackError, ProfileError,
     BundleError, InputError."""
+    options = Options(**options)
     chosen = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
     profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in chosen]
     names = [p.name for p in profiles]
@@ -55,13 +110,9 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
         raise ProfileError(f"{len(names)} profiles; a bundle is compiled for 1 to {_MAX_VARIANTS}")
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         raise ProfileError(f"profile {twice[0]} is given twice; each variant of a bundle needs one of another name")
-    storage = "half" if choose(storage, profiles) else "float"
-    made = []
-    for p in profiles:
-        description, assembler = describe(program, p, naive=naive, cache=cache, stage_packing=stage_packing, storage=storage,
-                                          sparse_texels=sparse_texels)
-        trace(description, assembler, p.name if len(profiles) > 1 else "")
-        made.append((description, assembler.blobs))
-    description, blobs = made[0] if len(made) == 1 else _bundle.combine(made)
+    options = replace(options, storage="half" if choose(options.storage, profiles) else "float")
+    made = [build(program, p, options, dump.watcher(p.name if len(profiles) > 1 else "")) for p in profiles]
+    description, blobs = ((made[0].description, made[0].blobs) if len(made) == 1 else
+                          _bundle.combine([(x.description, x.blobs) for x in made]))
     _bundle.write(path, description, blobs)
     return description

@@ -1,6 +1,7 @@
 """A substage to GLSL: one vertex and one fragment shader a draw, and what they bind.
 
-In: a `Substage`, the profile. Out: `Draws`: shader texts and bindings in order. Names are local numbers, so equal substages
+In: packed stages with their domains, the profile. Out: `Code` of each substage: shader texts and bindings in order. Names are local
+numbers, so equal substages
 give equal text and share one module. Ops whose loop headers come out equal share one loop.
 """
 from __future__ import annotations
@@ -14,8 +15,7 @@ from ..graph.formats import format_of
 from ..graph.ir import UNIT, Extent, Node, is_int
 from ..graph.ops.leaf import literal_glsl
 from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
-from ..passes.domains import Guard
-from ..passes.substage import Substage
+from ..passes.substage import LISTED, TEXELS, TILES, Stage, Substage, merged_reads
 
 SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
 
@@ -28,13 +28,13 @@ FULLSCREEN = _HEAD + """void main() {
 
 _CORNER = "vec2 o = vec2(corner == 1 || corner == 3 || corner == 5 ? high.x : low.x, corner >= 2 && corner != 3 ? high.y : low.y);\n"
 _PLACE = "gl_Position = vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0);\n"
-TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
+_TILES = """int tile = gl_VertexIndex / 6, corner = gl_VertexIndex % 6;
 ivec2 at = ivec2(tile % {across}, tile / {across});
 vec2 low = vec2(at * ivec2({tw}, {th})), high = min(low + vec2({tw}, {th}), vec2({w}, {h}));
 """ + _CORNER + """gl_Position = {tiles}(at) != 0 ? vec4(o / vec2({w}, {h}) * 2.0 - 1.0, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 """
 # Of a list: the columns that are full, then the one that is not.
-LISTED = """int corner = gl_VertexIndex % 6, full = {entries} / ({column} * {h}), rest = {entries} - full * {column} * {h};
+_LISTED = """int corner = gl_VertexIndex % 6, full = {entries} / ({column} * {h}), rest = {entries} - full * {column} * {h};
 bool last = gl_VertexIndex >= 6;
 vec2 low = vec2(last ? full * {column} : 0, 0);
 vec2 high = vec2((last ? full + 1 : full) * {column}, last ? (rest + {column} - 1) / {column} : {h});
@@ -67,6 +67,14 @@ class DrawCode:
     count: Node | None = None
 
 
+@dataclass(frozen=True)
+class Code:
+    """The draws of a substage and the images they bind, in binding order."""
+
+    draws: tuple[DrawCode, ...]
+    bindings: tuple[Binding, ...]
+
+
 def _mark(text: str, names: dict) -> str:
     return re.sub(r"\{(\w+)\}", lambda m: str(names[m.group(1)]), text)
 
@@ -94,9 +102,9 @@ def _place(i: str, column: int, height: int) -> tuple[str, str]:
 
 
 class _Emitter:
-    def __init__(self, stage: Substage, profile: Profile, guard: Guard | None, inner: Collection[Node] = ()):
+    def __init__(self, stage: Substage, profile: Profile, inner: Collection[Node] = ()):
         self.stage, self.profile = stage, profile
-        self.tiled = guard.node if guard and guard.tile else None
+        self.tiled = stage.domain.by if stage.domain.kind == TILES else None
         self.bindings: list[Binding] = []
         self.slots: dict[tuple[Node, str, str], int] = {}
         vertex = {x for x, m in stage.reads if m == VERTEX}
@@ -198,17 +206,18 @@ class _Emitter:
     def functions(self) -> list[str]:
         return list(dict.fromkeys(n.op.functions for n in self.stage.nodes if n.op.functions))
 
-    def pixel_body(self, guard: Guard | None) -> list[str]:
+    def pixel_body(self) -> list[str]:
+        domain = self.stage.domain
         for k, n in enumerate(self.stage.nodes):
             self.values[n] = f"v{k}"
-        if guard is None or guard.tile:
+        if domain.kind != TEXELS:
             lines = self.block(self.stage.nodes)
             return self.loads() + lines
-        first = self.block(guard.cone)
-        test = f"if ({self.value(guard.node)} == 0) discard;"
+        first = self.block(domain.cone)
+        test = f"if ({self.value(domain.by)} == 0) discard;"
         first = self.loads() + first
         self.own.clear()
-        rest = self.block([n for n in self.stage.nodes if n not in guard.cone])
+        rest = self.block([n for n in self.stage.nodes if n not in domain.cone])
         return [*first, test, *self.loads(), *rest]
 
     def block(self, nodes: Sequence[Node]) -> list[str]:
@@ -250,41 +259,52 @@ class _Emitter:
         return "\n".join([_HEAD + "\n".join(self.declarations(False)), *varyings, *outs, *self.functions(), "void main() {",
                           "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
 
-
-def emit(stage: Substage, profile: Profile, guard: Guard | None = None,
-         inner: Collection[Node] = (), total: Node | None = None) -> tuple[list[DrawCode], list[Binding]]:
-    """The draws of a substage and the images they bind, in binding order. Texels that the guard leaves out are not drawn; `inner` are
-    read as input attachments, written by an earlier subpass of the same render pass. total: where the extent is that of a list, the node
-    whose last texel says how many entries there are; no others are drawn."""
-    e = _Emitter(stage, profile, guard, inner)
-    if not stage.raster:
-        fragment = e.fragment(e.pixel_body(guard), [])
-        names = {"w": stage.extent.width, "h": stage.extent.height, "column": stage.extent.column}
-        if total is not None:
-            names["entries"] = f"T{e.bind_vertex(total)}(ivec2({total.extent.width - 1}, {total.extent.height - 1}))"
-            text, vertices = LISTED, 12
-        elif guard and guard.tile:
-            tiles = guard.node.extent
-            names |= {"across": tiles.width, "tw": guard.tile[0], "th": guard.tile[1], "tiles": f"T{e.bind_vertex(guard.node)}"}
-            text, vertices = TILES, 6 * tiles.count
+    def pixels(self) -> DrawCode:
+        """The draw of a substage of texels: its domain's part of the image."""
+        fragment, domain, extent = self.fragment(self.pixel_body(), []), self.stage.domain, self.stage.extent
+        names = {"w": extent.width, "h": extent.height, "column": extent.column}
+        if domain.kind == LISTED:
+            of = domain.by.extent
+            names["entries"] = f"T{self.bind_vertex(domain.by)}(ivec2({of.width - 1}, {of.height - 1}))"
+            text, vertices = _LISTED, 12
+        elif domain.kind == TILES:
+            tiles, (width, height) = domain.by.extent, domain.tile
+            names |= {"across": tiles.width, "tw": width, "th": height, "tiles": f"T{self.bind_vertex(domain.by)}"}
+            text, vertices = _TILES, 6 * tiles.count
         else:
-            return [DrawCode(FULLSCREEN, fragment, 3)], e.bindings
-        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), "void main() {", _mark(text, names), "}", ""])
-        return [DrawCode(vertex, fragment, vertices)], e.bindings
-    node = stage.nodes[0]
-    e.values[node] = "v0"
-    attrs, draws = node.attrs, []
-    for draw in node.op.draws:
-        out = [f"layout(location = {k}) flat out {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
-        into = [f"layout(location = {k}) flat in {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
-        names = e.names(node)
-        vertex = "\n".join([_HEAD + "\n".join(e.declarations(True)), *out, *e.functions(), "void main() {",
-                            _mark(draw.vertex, names), "}", ""])
-        body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
-        body = e.loads() + body
-        factor, items = draw.vertices
-        over = {"count": node.inputs[node.op.params.index(draw.count)]} if draw.count else {
-            "views": attrs["views"], "cell": (attrs["cell_w"], attrs["cell_h"], attrs["columns"])}
-        draws.append(DrawCode(vertex, e.fragment(body, into), factor * attrs[items], depth=draw.depth_test,
-                              topology=draw.topology, **over))
-    return draws, e.bindings
+            return DrawCode(FULLSCREEN, fragment, 3)
+        vertex = "\n".join([_HEAD + "\n".join(self.declarations(True)), "void main() {", _mark(text, names), "}", ""])
+        return DrawCode(vertex, fragment, vertices)
+
+    def geometry(self) -> list[DrawCode]:
+        """The draws of a raster op."""
+        node, draws = self.stage.nodes[0], []
+        self.values[node] = "v0"
+        attrs = node.attrs
+        for draw in node.op.draws:
+            out = [f"layout(location = {k}) flat out {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
+            into = [f"layout(location = {k}) flat in {kind} {name};" for k, (kind, name) in enumerate(draw.varyings)]
+            names = self.names(node)
+            vertex = "\n".join([_HEAD + "\n".join(self.declarations(True)), *out, *self.functions(), "void main() {",
+                                _mark(draw.vertex, names), "}", ""])
+            body = [f"{node.vtype} v0;", _mark(draw.fragment, names)]
+            body = self.loads() + body
+            factor, items = draw.vertices
+            over = {"count": node.inputs[node.op.params.index(draw.count)]} if draw.count else {
+                "views": attrs["views"], "cell": (attrs["cell_w"], attrs["cell_h"], attrs["columns"])}
+            draws.append(DrawCode(vertex, self.fragment(body, into), factor * attrs[items], depth=draw.depth_test,
+                                  topology=draw.topology, **over))
+        return draws
+
+
+def emit(stages: Sequence[Stage], profile: Profile) -> tuple[tuple[Code, ...], ...]:
+    """The code of each substage of each stage."""
+    return tuple(tuple(emit_substage(s, profile, merged_reads(stage.substages[:k], s)) for k, s in enumerate(stage.substages))
+                 for stage in stages)
+
+
+def emit_substage(stage: Substage, profile: Profile, inner: Collection[Node] = ()) -> Code:
+    """The code of a substage. `inner` are read as input attachments, written by an earlier subpass of the same render pass."""
+    e = _Emitter(stage, profile, inner)
+    draws = e.geometry() if stage.raster else [e.pixels()]
+    return Code(tuple(draws), tuple(e.bindings))

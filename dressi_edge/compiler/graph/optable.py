@@ -9,7 +9,7 @@ elsewhere two functions: `{name}(ivec2)` the texel, `{name_at}(index)` the entry
 node where types decide.
 
 An input read by tile is a coarser image, one texel for each `attrs["tile"]` = (width, height) texels of the result: where it is zero
-the op must not matter (`absent`), and whole tiles are left undrawn. An input read by count only says how much is drawn: it is that of a
+the op must not matter (`Op.when`), and whole tiles are left undrawn. An input read by count only says how much is drawn: it is that of a
 raster op's `Draw.count`, or the number of a list's entries (`ops/compact.py`).
 """
 from __future__ import annotations
@@ -56,6 +56,41 @@ class Draw:
     count: str = ""
 
 
+ZERO, NEGATIVE, EMPTY = "zero", "negative", "empty"
+
+
+@dataclass(frozen=True)
+class When:
+    """What one input's value makes of the result: where input `input` is `what`, the result is `result` in every channel, whatever the
+    other inputs are. what: "zero" in every channel, "negative", or "empty": a range (begin, end) that holds nothing. flag: that is what
+    the input is there for, so that passes may leave texels undrawn by it (`passes/domains.py`)."""
+
+    input: int
+    what: str
+    result: int = 0
+    flag: bool = False
+
+
+def zero(*inputs: int) -> tuple[When, ...]:
+    """Each of these inputs makes the result zero where it is zero."""
+    return tuple(When(k, ZERO) for k in inputs)
+
+
+def flag(k: int, result: int = 0) -> tuple[When, ...]:
+    """Where input k is zero there is nothing to do, and the result is this."""
+    return (When(k, ZERO, result, flag=True),)
+
+
+def negative(k: int) -> tuple[When, ...]:
+    """Input k makes the result zero where it is negative."""
+    return (When(k, NEGATIVE),)
+
+
+def empty(k: int) -> tuple[When, ...]:
+    """Input k is a range that makes the result zero where it holds nothing."""
+    return (When(k, EMPTY),)
+
+
 @dataclass(frozen=True)
 class Listed:
     """How a node reads input 0 where of that only a list of texels is kept (`compiler/passes/lists.py`): `find` makes the node's places in
@@ -84,11 +119,11 @@ class Op:
     clear: int = -1  # of a raster op: where nothing is drawn
     cost: int = 1
     functions: str = ""
-    absorbs: tuple[int, ...] = ()  # inputs that, when zero, make the result zero
-    absorbs_negative: tuple[int, ...] = ()  # inputs that, when negative, make the result zero
-    absorbs_empty: tuple[int, ...] = ()  # inputs, ranges (begin, end), that make the result zero where they hold nothing
+    when: tuple[When, ...] = ()  # what single inputs make of the result
+    chooses: bool = False  # the result is input 1 where input 0 is not zero, else input 2
+    part: bool = False  # the result is some channels of its only input
+    held: bool = False  # a leaf that the session holds by name: an input or a state
     listed: Callable | None = None  # of a node: `Listed`
-    absent: tuple[tuple[int, int], ...] = ()  # (input, result): what the result is where that input is zero
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
     covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none

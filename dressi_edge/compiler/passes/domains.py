@@ -1,20 +1,26 @@
-"""Find the condition under which a substage has nothing to do.
+"""Which texels of each substage are drawn: one pass for all four ways to leave work out.
 
-In: a substage. Out: a `Guard`: an int node of the substage and the constant of each output where that node is zero. The emitter then
-discards those texels before the work and the attachments are cleared to the constants. Facts of the op table (`absorbs`,
-`absent`) carry zeros through; everything else must be constant to give a constant.
+In: the stages of a plan. Out: the same, each substage with its `Domain`, found from facts of the op table alone. A guard is an int under
+which, where it is zero, every output is a known constant: `Op.when` and `Op.chooses` carry zeros through, everything else must be
+constant to give a constant. The texels are then discarded before the work or, where the guard has one texel for a tile, the tile is not
+drawn; attachments are cleared to the constants, but for what is of no use there (`Op.named`, `Op.covers`). What has the extent of a list is
+drawn as far as the list goes. A plan that gives copies back ("leave") writes in place: what is not drawn keeps what was there.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..graph.ir import Node, is_int
-from ..graph.optable import TILE
-from .substage import Substage
+from ...cache.errors import PackError
+from ..graph.ir import Extent, Node, is_int
+from ..graph.optable import COUNT, EMPTY, NEGATIVE, TILE, VERTEX, ZERO
+from .plans import LEAVE, PlanGraph
+from .substage import KEPT, LISTED, TEXELS, TILES, Domain, Stage, Substage
 
 MIN_COST = 40  # work worth a test
+_IS = {ZERO: lambda x: (x == 0).all(), NEGATIVE: lambda x: (x < 0).all(), EMPTY: lambda x: x[0] >= x[1]}
 
 
 @dataclass(frozen=True)
@@ -28,22 +34,20 @@ class Guard:
     tile: tuple[int, int] | None = None
 
 
-def constant_value(node: Node, known: dict[Node, np.ndarray]) -> np.ndarray | None:
+def constant_value(node: Node, known: Mapping[Node, np.ndarray]) -> np.ndarray | None:
     """The constant value (channels,) of a node given constant inputs, or None."""
     inputs = [x.op.ref(**x.attrs)[0, 0] if x.op.stage == "inline" else known.get(x) for x in node.inputs]
     channels = np.zeros(node.channels, np.int64 if is_int(node.vtype) else np.float64)
-    for k, value in node.op.absent:
-        if inputs[k] is not None and (inputs[k] == 0).all():
-            return channels + value
-    if any(inputs[k] is not None and (inputs[k] == 0).all() for k in node.op.absorbs):
-        return channels
-    if any(inputs[k] is not None and (inputs[k] < 0).all() for k in node.op.absorbs_negative):
-        return channels
-    if node.op.name == "select" and inputs[0] is not None and inputs[0].size == 1:
-        taken = inputs[1] if inputs[0][0] else inputs[2]
-        return None if taken is None else channels + taken
-    if node.op.name == "select" and inputs[1] is not None and inputs[2] is not None and np.array_equal(*np.broadcast_arrays(*inputs[1:])):
-        return channels + inputs[1]
+    for when in node.op.when:
+        if inputs[when.input] is not None and _IS[when.what](inputs[when.input]):
+            return channels + when.result
+    if node.op.chooses:
+        by, *options = inputs
+        if by is not None and by.size == 1:
+            taken = options[0] if by[0] else options[1]
+            return None if taken is None else channels + taken
+        if all(x is not None for x in options) and np.array_equal(*np.broadcast_arrays(*options)):
+            return channels + options[0]
     if node.op.stage != "pixel" or node.op.loop or not inputs or any(x is None for x in inputs) or "texel" in node.op.reads:
         return None
     value = np.asarray(node.op.ref(*(x[None, None] for x in inputs), **node.attrs))[0, 0]
@@ -66,8 +70,8 @@ def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
         return None
     inside = set(stage.nodes)
     total = sum(n.op.cost for n in stage.nodes)
-    conditions = {n.inputs[0] for n in stage.nodes if n.op.name == "select"}
-    conditions |= {n.inputs[k] for n in stage.nodes for k, _ in n.op.absent}
+    conditions = {n.inputs[0] for n in stage.nodes if n.op.chooses}
+    conditions |= {n.inputs[when.input] for n in stage.nodes for when in n.op.when if when.flag}
     tiles = {x: n.attrs["tile"] for n in stage.nodes for k, x in enumerate(n.inputs) if n.op.read(k) == TILE}
     best = None
     for c in sorted((c for c in conditions if is_int(c.vtype) and c.channels == 1 and (c.extent == stage.extent or c in tiles)),
@@ -87,3 +91,66 @@ def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
         if saved >= least and (best is None or rank > best[0]):
             best = (rank, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
     return best and best[1]
+
+
+def find_domains(plan: PlanGraph, stages: Sequence[Stage], guards: bool = True) -> tuple[Stage, ...]:
+    """The stages of a plan with their domains; without `guards`, a simple twin of the same bits, only geometry leaves anything undrawn, and
+    what must keep what it does not write. Raises PackError where copies cannot be given back in place."""
+    totals = {**plan.totals, **_totals(stages)} if guards else {}
+    use = _Use(plan.roots, stages)
+
+    def domain(s: Substage) -> Domain:
+        if s.raster:
+            return Domain(outside=(s.nodes[0].op.clear,))
+        if s.extent in totals and plan.kind != LEAVE:
+            return Domain(LISTED, totals[s.extent], outside=tuple(map(use.after_the_last, s.outputs)))
+        guard = find_guard(s, 0) if plan.kind == LEAVE else find_guard(s) if guards else None
+        if plan.kind == LEAVE:
+            return _in_place(plan, s, guard)
+        if guard is None:
+            return Domain(outside=(None,) * len(s.outputs))
+        outside = [None if use.none_outside(n, guard, s.outputs) else x for n, x in zip(s.outputs, guard.constants)]
+        return Domain(TILES if guard.tile else TEXELS, guard.node, guard.tile, guard.cone, tuple(outside))
+
+    return tuple(Stage(stage.extent, tuple(replace(s, domain=domain(s)) for s in stage.substages)) for stage in stages)
+
+
+def _in_place(plan: PlanGraph, s: Substage, guard: Guard | None) -> Domain:
+    if guard is None:
+        raise PackError(f"plan {plan.name}: nothing says which texels of {' '.join(n.name for n in s.outputs)} were copied, and all "
+                        "would be written; a defect of the compiler: compile with sparse_texels=None, and report it")
+    return Domain(TILES if guard.tile else TEXELS, guard.node, guard.tile, guard.cone, (KEPT,) * len(s.outputs))
+
+
+def _totals(stages: Sequence[Stage]) -> dict[Extent, Node]:
+    """Of the extents of lists that these stages make, what says how many entries there are."""
+    return {n.extent: x for stage in stages for s in stage.substages for n in s.nodes if n.extent.partial
+            for k, x in enumerate(n.inputs) if n.op.read(k) == COUNT}
+
+
+class _Use:
+    """Which outputs of a substage nothing reads where they are left out."""
+
+    def __init__(self, roots: Sequence[Node], stages: Sequence[Stage]):
+        self.roots, self.reads = set(roots), {}
+        for n in (n for stage in stages for s in stage.substages for n in s.nodes):
+            for k, x in enumerate(n.inputs):
+                self.reads.setdefault(x, []).append((n, k))
+
+    def none_outside(self, x: Node, guard: Guard, outputs: Sequence[Node]) -> bool:
+        """Whether x, one of the outputs, is of use only where something is named by an image that names nothing where the guard leaves
+        them out: another output, or what the guard is made of (`Op.named`, `Op.covers`)."""
+        known = dict(zip(outputs, guard.constants))
+        if guard.node.op.covers:
+            covered, value = guard.node.op.covers
+            known[guard.node.inputs[covered]] = value
+
+        def of_no_use(n: Node, k: int) -> bool:
+            mine, other, none = n.op.named or (-1, 0, 0)
+            return k == mine and known.get(n.inputs[other]) == none
+        return x not in self.roots and all(of_no_use(n, k) for n, k in self.reads[x])
+
+    def after_the_last(self, x: Node) -> int | None:
+        """What an output of a list has to be after its entries: draws may run over all there could be."""
+        drawn = x in self.roots or any(n.op.read(k) == VERTEX for n, k in self.reads[x])
+        return -1 if x.vtype == "int" and drawn else None

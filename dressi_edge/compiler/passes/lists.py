@@ -1,28 +1,32 @@
 """Images of which few texels are ever touched: the phase that optimizes one works on a list of those.
 
-In: the plans of a phase. Out: `Lists`: the plans with the image's states (the parameter, its moments) replaced by copies that hold the
-listed texels alone, and two plans more: `enter` fills the list and the copies from the states, `leave` puts the copies back.
+In: the plans of a phase (a `Group`). Out: the same with `Lists`: the image's states (the parameter, its moments) are replaced by copies
+that hold the listed texels alone, and there are two plans more: `enter` fills the list and the copies from the states, `leave` puts the
+copies back.
 
 A texel is left out if nothing would ever happen to it: it has no gradient, its moments are zero in every bit, and the update of such a
 texel gives the parameter's own bits. So what comes out is what updating every texel gives, bit for bit, whatever was set before.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ...cache.layout import Layout, table_size
+from ...cache.layout import table_size
+from ...cache.profile import Profile
 from ..graph.ir import COLUMN, Extent, Node, intern, rebuild, topological
 from ..graph.ops.compact import compact
-from ..graph.optable import OWN, apply
+from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
 from .domains import constant_value
+from .groups import Group, Lists
 from .simplify import simplify
 from .specialize import dependence
 
 MIN_TEXELS = 1 << 17  # below, updating every texel costs less than what the lists do to the start
+MAX_ROWS = 16384  # of a list, whatever the profile allows: most devices have them
 MAX_TEXELS = 1 << 22  # above, the copies, which have room for every texel, would be more memory than many devices have
 
 
@@ -30,28 +34,10 @@ class _Dense(Exception):
     """Why every texel is updated."""
 
 
-@dataclass(frozen=True)
-class Lists:
-    """Of one extent, `number` in its group from 1. copies: by state name, the leaf that stands for it. enter: what fills the copies and
-    the leaves that the other plans read. leave: by state name, the value of its listed texels, zero elsewhere, where `places` is zero.
-    total: the leaf whose last texel says how many entries there are."""
-
-    number: int
-    extent: Extent
-    copies: Mapping[str, Node]
-    enter: Mapping[Node, Node]
-    leave: Mapping[str, Node]
-    total: Node
-
-    def layout(self, copy: Node) -> Layout:
-        return Layout("image", copy.vtype, self.extent.width, self.extent.height)
-
-
-def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[list[Node]],
-               least: int, rows: int) -> tuple[list[Lists], list[list[Node]], dict[str, str]]:
-    """The lists of a group's plans, for images of at least so many texels, in images of at most so many rows; their new roots; and for
-    each sampled image that its phase updates: "listed", or why it is not."""
-    lists, rooted, told = [], list(rooted), {}
+def find_lists(group: Group, program: Program, profile: Profile, least: int) -> Group:
+    """The plans of a group on lists, for images of at least so many texels, in images of as many rows as the profile draws to."""
+    specs, rooted, rows = group.specs, list(group.roots), _rows(profile)
+    lists, told = [], {}
     phases = [k for k, spec in enumerate(specs) if spec.updates]
     for k in phases:
         sampled = [(name, program.values[name].node) for name in specs[k].updates if any(
@@ -73,7 +59,17 @@ def find_lists(program: Program, specs: Sequence[PlanSpec], rooted: Sequence[lis
             except _Dense as reason:
                 why = f"every texel is updated: {reason}"
             told |= {name: why for name, node in sampled if node.extent == extent}
-    return lists, rooted, told
+    names = {name: copy.attrs["name"] for x in lists for name, copy in x.copies.items()}
+    specs = tuple(replace(spec, dynamic=spec.dynamic.union(names.values()),
+                          updates={names.get(name, name): node for name, node in spec.updates.items()}) for spec in specs)
+    return replace(group, specs=specs, roots=tuple(map(tuple, rooted)), lists=tuple(lists),
+                   told={spec.name: told for spec in specs if spec.updates and told})
+
+
+def _rows(profile: Profile) -> int:
+    """The most rows of an image that is drawn to."""
+    limit = profile.limit
+    return min(limit("maxImageDimension2D"), limit("maxFramebufferHeight"), limit("maxViewportDimensions")[1], MAX_ROWS)
 
 
 def _list_extent(e: Extent, rows: int) -> Extent:
@@ -130,15 +126,15 @@ class _Body:
 
     def _empty(self) -> list[Node]:
         """The ranges in which a texel without gradient finds nothing."""
-        return list(dict.fromkeys(n.inputs[k] for n in self.order for k in n.op.absorbs_empty if n.inputs[k] not in self.dirty))
+        return list(dict.fromkeys(x for n in self.order for x in _ranges(n) if x not in self.dirty))
 
     def _at_rest(self) -> dict[str, Node]:
         """What each sampled state becomes where there is no gradient and no moment: made of the state alone. Raises _Dense where it may
         be something else later, or moments may become other than zero."""
-        sampled, empty = {n.inputs[0] for n in self.samples}, self._empty()
+        sampled, empty = {n.inputs[0] for n in self.samples}, set(self._empty())
         known = {s: np.zeros(s.channels) for s in self.leaves if s not in sampled}
         for n in self.order:
-            value = np.zeros(n.channels) if any(n.inputs[k] in empty for k in n.op.absorbs_empty) else constant_value(n, known)
+            value = np.zeros(n.channels) if not empty.isdisjoint(_ranges(n)) else constant_value(n, known)
             if value is not None and not value.any():
                 known[n] = value
         zero, rest = apply("literal", value=0.0), {}
@@ -203,6 +199,11 @@ class _Body:
         back = apply("sub", put, 1)
         leave = {key: apply("select", put, apply("lookup", c, back), 0.0) for key, c in copies.items()}
         return Lists(number, extent, copies, enter, leave, total), result
+
+
+def _ranges(n: Node) -> list[Node]:
+    """Inputs that make the result zero where they hold nothing."""
+    return [n.inputs[when.input] for when in n.op.when if when.what == EMPTY and when.result == 0]
 
 
 def _inputs(n: Node) -> list[tuple[Node, str]]:

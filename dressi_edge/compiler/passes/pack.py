@@ -18,7 +18,7 @@ from ..graph.ir import UNIT, Extent, Node, topological
 from ..graph.ops import lookup as _lookup  # noqa: F401  (fills the op table)
 from ..graph.optable import OWN
 from .split import split
-from .substage import Stage, Substage, edges, is_inline, is_leaf, substage
+from .substage import Stage, Substage, edges, is_inline, is_leaf, merged_reads, substage
 
 RECOMPUTE_COST = 24  # work a value may cost to be computed again
 
@@ -159,12 +159,6 @@ def _needed(nodes, outputs) -> list[Node]:
 def pack_naive(roots: Sequence[Node], profile: Profile) -> list[Substage]:
     """The simple twin: every function is a substage of its own."""
     return [substage([n], [n]) for n in topological(roots) if not is_leaf(n) and not is_inline(n)]
-
-
-def merged_reads(stage: Sequence[Substage], s: Substage) -> set[Node]:
-    """What s reads of the outputs of a stage's substages."""
-    written = {n for part in stage for n in part.outputs}
-    return {x for x, _ in s.reads if x in written}
 
 
 def _joins(stage: Sequence[Substage], s: Substage, profile: Profile) -> bool:

@@ -21,7 +21,7 @@ def dependence(roots: Iterable[Node]) -> dict[Node, frozenset[str]]:
     """The names of the inputs and states that each node depends on."""
     names: dict[Node, frozenset[str]] = {}
     for n in topological(roots):
-        own = {n.attrs["name"]} if n.op.name in ("input", "state") else set()
+        own = {n.attrs["name"]} if n.op.held else set()
         names[n] = frozenset(own.union(*(names[x] for x in n.inputs)))
     return names
 
@@ -50,7 +50,7 @@ def _cut(roots: Sequence[Node], dirty: set[Node], prefix: str, cached: dict[Node
     cost: dict[Node, float] = {}
     order = topological(roots)
     for n in order:
-        if n.op.name in ("input", "state"):
+        if n.op.held:
             cost[n] = 1
         elif n.op.stage == "pixel" and n.op.loop is None and all(n.op.read(k) == OWN for k in range(len(n.inputs))):
             cost[n] = n.op.cost + sum(cost[x] for x in n.inputs)
@@ -58,13 +58,13 @@ def _cut(roots: Sequence[Node], dirty: set[Node], prefix: str, cached: dict[Node
             cost[n] = float("inf") if n.inputs else n.op.cost
     new: dict[Node, Node] = {}
     wanted = {*(x for n in order if n in dirty for x in n.inputs), *roots} - dirty
-    parts = Counter(x.inputs[0] for x in wanted if x.op.name == "swizzle")  # how many of its channels a clean vector is wanted for
+    parts = Counter(x.inputs[0] for x in wanted if x.op.part)  # how many of its channels a clean vector is wanted for
 
     def keep(n: Node) -> Node:
         """n itself, rebuilt, or its cached leaf."""
-        if n.op.stage in ("leaf", "inline") or cost[n] <= KEEP_COST or new[n].op.name == "cached":
+        if n.op.stage in ("leaf", "inline") or cost[n] <= KEEP_COST or new[n].op.stage == "leaf":
             return new[n]
-        if n.op.name == "swizzle" and parts[n.inputs[0]] > 1:  # one image instead of several
+        if n.op.part and parts[n.inputs[0]] > 1:  # one image instead of several
             new[n] = intern(n.op, (keep(n.inputs[0]),), n.attrs, n.vtype, n.extent)
             return new[n]
         if n not in cached:

@@ -50,7 +50,7 @@ def sizes(program: Program, roots: Iterable[Node]) -> dict[Node, float]:
     for n in topological(roots):
         inputs = [found[x] for x in n.inputs]
         floats = [found[x] for x in n.inputs if not is_int(x.vtype)]
-        if n.op.name in ("input", "state"):
+        if n.op.held:
             found[n] = _start(program.values[n.attrs["name"]].initial)
         elif is_int(n.vtype):
             found[n] = 0.0
@@ -73,8 +73,8 @@ def halve(program: Program) -> Program:
     size = sizes(program, roots)
 
     def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
-        if node.op.name == "input" and program.values[node.attrs["name"]].narrow:
-            return apply("input", **node.attrs, half=0)
+        if node.op.held and program.values[node.attrs["name"]].narrow:
+            return apply(node.op.name, **node.attrs, half=0)
         inputs = tuple(_rounded(x, size[old]) if k in node.op.sums else x for k, (x, old) in enumerate(zip(inputs, node.inputs)))
         return intern(node.op, inputs, node.attrs, node.vtype, node.extent)
 

@@ -9,19 +9,53 @@ from ..graph.formats import format_bits
 from ..graph.ir import Extent, Node
 from ..graph.optable import COUNT, FILTERED, VERTEX
 
+FULL, TEXELS, TILES, LISTED = "full", "texels", "tiles", "listed"
+KEPT = "kept"  # what an image held before
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Which texels of a substage are drawn, and what its outputs are in the others.
+
+    kind: "full", all that its draws cover; "texels", those where `by`, an int, is not 0: the others are discarded; "tiles", tiles of so
+    many texels (`tile`) for which `by`, which has one texel for each, is not 0; "listed", the first so many entries as the last texel
+    of `by` says. cone: what computes `by` in this substage. outside: for each output the number in every channel where nothing is
+    drawn, "kept" for what it held before, or None where nothing reads it."""
+
+    kind: str = FULL
+    by: Node | None = None
+    tile: tuple[int, int] | None = None
+    cone: tuple[Node, ...] = ()
+    outside: tuple[int | str | None, ...] = ()
+
 
 @dataclass(frozen=True)
 class Substage:
-    """One subpass: `nodes` in order, of which `outputs` are written; `reads` are (node, mode) from outside."""
+    """One subpass: `nodes` in order, of which `outputs` are written; `reads` are (node, mode) from outside. domain: as
+    `passes/domains.py` found it."""
 
     extent: Extent
     nodes: tuple[Node, ...]
     outputs: tuple[Node, ...]
     reads: tuple[tuple[Node, str], ...]
+    domain: Domain = Domain()
 
     @property
     def raster(self) -> bool:
         return self.nodes[0].op.stage == "raster"
+
+    @property
+    def images(self) -> tuple[Node, ...]:
+        """What its shaders read of what lies in images."""
+        found = dict.fromkeys(x for x, mode in self.reads if mode != COUNT)
+        if self.domain.kind in (TILES, LISTED):
+            found[self.domain.by] = None
+        return tuple(found)
+
+    @property
+    def counts(self) -> tuple[Node, ...]:
+        """What says how many vertices its draws have."""
+        return tuple(x for x, mode in self.reads if mode == COUNT) if self.raster else ()
 
 
 @dataclass(frozen=True)
@@ -54,6 +88,12 @@ def substage(nodes: Sequence[Node], outputs: Sequence[Node]) -> Substage:
             if x not in inside:
                 reads[x, mode] = None
     return Substage(nodes[0].extent, tuple(nodes), tuple(outputs), tuple(reads))
+
+
+def merged_reads(stage: Sequence[Substage], s: Substage) -> set[Node]:
+    """What s reads of the outputs of a stage's substages."""
+    written = {n for part in stage for n in part.outputs}
+    return {x for x, _ in s.reads if x in written}
 
 
 def excess(s: Substage, profile: Profile) -> list[str]:

@@ -5,7 +5,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import is_int, vector_type
-from ..optable import apply, chosen, common_extent, elementwise, floats, integers, op, product, quotient, unit
+from ..optable import apply, chosen, common_extent, elementwise, floats, integers, op, product, quotient, unit, zero
 
 
 def select(c, a, b):
@@ -17,9 +17,9 @@ op("add", "a b", infer=elementwise, ref=np.add, glsl="{y} = {a} + {b};", vjp=lam
    doc="a + b.")
 op("sub", "a b", infer=elementwise, ref=np.subtract, glsl="{y} = {a} - {b};", vjp=lambda g, y, a, b: (g, -g),
    doc="a - b.")
-op("mul", "a b", absorbs=(0, 1), size=product, infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};",
+op("mul", "a b", when=zero(0, 1), size=product, infer=elementwise, ref=np.multiply, glsl="{y} = {a} * {b};",
    vjp=lambda g, y, a, b: (g * b, g * a), doc="a b, channel by channel.")
-op("div", "a b", absorbs=(0,), infer=floats, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4, size=quotient,
+op("div", "a b", when=zero(0), infer=floats, ref=lambda a, b: a / b, glsl="{y} = {a} / {b};", cost=4, size=quotient,
    vjp=lambda g, y, a, b: (g / b, -(g * y / b)),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.uniform(0.5, 2, (4, 5, 1))], {}), doc="a / b, channel by channel.")
 op("neg", "a", infer=elementwise, ref=np.negative, glsl="{y} = -{a};", vjp=lambda g, y, a: (-g,), doc="-a.")
@@ -48,7 +48,7 @@ op("shift_left", "a b", infer=integers, ref=np.left_shift, glsl="{y} = {type}({a
 op("shift_right", "a b", infer=integers, ref=np.right_shift, glsl="{y} = {type}({a}) >> {b};",
    sample=lambda rng: ([rng.integers(-100, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}),
    doc="The integer a, b bits down, with its sign.")
-op("bit_and", "a b", absorbs=(0, 1), infer=integers, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
+op("bit_and", "a b", when=zero(0, 1), infer=integers, ref=np.bitwise_and, glsl="{y} = {a} & {b};",
    sample=lambda rng: ([rng.integers(0, 100, (4, 5, 2)), rng.integers(0, 9, (4, 5, 1))], {}),
    doc="Bits of both integers; of conditions, and.")
 op("bit_or", "a b", infer=integers, ref=np.bitwise_or, glsl="{y} = {a} | {b};",
@@ -126,7 +126,7 @@ def _select_glsl(node):
     return f"{{y}} = mix({{type}}({{b}}), {{type}}({{a}}), notEqual({{c}}, {zero}(0)));"
 
 
-op("select", "c a b", infer=_select_infer, size=chosen, ref=lambda c, a, b: np.where(c != 0, a, b), glsl=_select_glsl,
+op("select", "c a b", infer=_select_infer, chooses=True, size=chosen, ref=lambda c, a, b: np.where(c != 0, a, b), glsl=_select_glsl,
    vjp=lambda g, y, c, a, b: (None, select(c, g, 0.0), select(c, 0.0, g)),
    sample=lambda rng: ([rng.integers(0, 2, (4, 5, 1)), rng.normal(size=(4, 5, 3)), rng.normal(size=(1, 1, 1))], {}),
    doc="The branch not taken gets a zero gradient; both branches must be finite.")

@@ -5,7 +5,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import Node, is_int, vector_type
-from ..optable import elementwise, op
+from ..optable import elementwise, op, zero
 from .leaf import literal_glsl
 
 LARGEST, LEAST_NORMAL, STEP = 65504.0, 2.0 ** -14, 2.0 ** -24  # of fp16; below LEAST_NORMAL numbers are STEP apart
@@ -32,6 +32,6 @@ def _glsl(node: Node) -> str:
             f"    {{y}} = ({pick}) * {down}; }}")
 
 
-op("half", "a", infer=_infer, absorbs=(0,), cost=12, ref=_ref, glsl=_glsl,
+op("half", "a", infer=_infer, when=zero(0), cost=12, ref=_ref, glsl=_glsl,
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)) * 2.0 ** rng.integers(-30, 20, (4, 5, 1))], {"half": 3}),
    doc="Rounded to nearest even to fp16 at 2^half times its value, held within +-65504 there; its image has 16 bits a channel.")

@@ -61,9 +61,9 @@ def _constant(name, inputs, attrs):
 op("constant", "", attrs="data vtype extent", infer=_constant, stage="leaf", size=lambda node, sizes: _size(node.attrs["data"].array),
    ref=lambda data, **_: data.array,
    doc="Numbers known when the graph is built; they travel in the bundle.")
-op("input", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", ref=None,
+op("input", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", held=True, ref=None,
    doc="An image that the session sets by name.")
-op("state", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", ref=None,
+op("state", "", attrs="name vtype extent half?", infer=_leaf, stage="leaf", held=True, ref=None,
    doc="An image that lives on the device from step to step: parameters, moments, counters.")
 
 op("texel_index", "", infer=lambda name, inputs, attrs: ("int", attrs["extent"]), cost=1,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import UNIT, Data, Extent, Node, table, vector_type
-from ..optable import Loop, apply, op, product
+from ..optable import Loop, apply, negative, op, product
 
 MAX_ROW = 256  # longer rows are summed in two levels, to keep every lane busy
 
@@ -216,7 +216,7 @@ def lookup_infer(name, inputs, attrs):
 
 
 LOOKUP = "{y} = {type}(0); if ({index} >= 0) {y} = {entries_at}(min({index}, {entries_w} * {entries_h} - 1));"
-op("lookup", "entries index", attrs="", absorbs_negative=(1,), infer=lookup_infer, reads="texel own", ref=lookup_ref, vjp=_lookup_vjp,
+op("lookup", "entries index", attrs="", when=negative(1), infer=lookup_infer, reads="texel own", ref=lookup_ref, vjp=_lookup_vjp,
    cost=8, glsl=LOOKUP, sample=_lookup_sample, doc="A table's entry by index; zero where the index is negative.")
 
 
@@ -232,6 +232,6 @@ def _listed_sample(rng):
     return [to_table(rng.normal(size=(9, 3))), to_table(np.append(names[listed], -1), -1), constant_table(names), to_table(slots, -1)], {}
 
 
-op("lookup_listed", "entries index names slots", attrs="", absorbs_negative=(1,), infer=lookup_infer, reads="texel own texel texel",
+op("lookup_listed", "entries index names slots", attrs="", when=negative(1), infer=lookup_infer, reads="texel own texel texel",
    ref=lookup_ref, cost=8, glsl=LOOKUP, sample=_listed_sample, vjp=_listed_vjp,
    doc="A table's entry by an index that is a list of some of the constants `names`; `slots`: where in it each of them is, or -1.")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..optable import Loop, apply, at, op
+from ..optable import Loop, apply, at, negative, op, zero
 from .lookup import LOOKUP, lookup_infer, lookup_ref, to_table
 from .reduce import tiles_of
 
@@ -31,7 +31,7 @@ def _segment_ref(values, index, box, *_, **attrs):
     return out.reshape(box.shape[0], box.shape[1], -1)
 
 
-op("lookup_boxed", "entries index box", attrs="", alike=((2, 0),), absorbs_negative=(1,), infer=lookup_infer, reads="texel own texel",
+op("lookup_boxed", "entries index box", attrs="", alike=((2, 0),), when=negative(1), infer=lookup_infer, reads="texel own texel",
    ref=lookup_ref, cost=8, glsl=LOOKUP, sample=_boxed_sample,
    vjp=lambda g, y, entries, index, box: (
        apply("segment_sum", g, index, box, apply("bin_names", index)), None, None),
@@ -152,7 +152,7 @@ def _near_ref(entries, places, *_, channel, reach):
     return lookup_ref(entries, places[..., channel:channel + 1] - 1)
 
 
-op("lookup_near", "entries places box segment center", alike=((2, 0), (3, 0), (4, 0)), absorbs=(1,), infer=at(1),
+op("lookup_near", "entries places box segment center", alike=((2, 0), (3, 0), (4, 0)), when=zero(1), infer=at(1),
    reads="texel own texel texel texel",
    size=lambda node, sizes: sizes[0], ref=_near_ref, cost=8,
    glsl="{ int at_ = ivec4({places})[{channel}] - 1;\n"

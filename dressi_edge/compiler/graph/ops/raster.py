@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from ....cache.errors import GraphError
 from ..ir import table
-from ..optable import OPS, Draw, common_extent, op
+from ..optable import OPS, Draw, common_extent, flag, op
 from . import raster_reference as reference
 
 FUNCTIONS = """
@@ -249,7 +249,7 @@ def _nearest_infer(name, inputs, attrs):
     return "int", common_extent(name, (inputs[0], *inputs[3:]))
 
 
-op("nearest_edge", "code face_edges segments position active", absent=((4, -1),), infer=_nearest_infer,
+op("nearest_edge", "code face_edges segments position active", when=flag(4, -1), infer=_nearest_infer,
    reads="own texel texel own own", ref=reference.nearest_edge, functions=FUNCTIONS, cost=40,
    glsl="""{y} = -1;
 if ({code} >= 0 && {active} != 0) {

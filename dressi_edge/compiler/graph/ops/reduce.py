@@ -7,7 +7,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import UNIT, Extent, Node, image
-from ..optable import Loop, apply, at, op
+from ..optable import Loop, apply, at, flag, op
 
 BLOCK = 32
 
@@ -160,7 +160,7 @@ def _edge_mask_ref(across, tiles, tile, **attrs):
 
 
 op("covered_window", "front tiles", attrs=_WINDOW, infer=_window_infer, reads="texel tile", cost=50,
-   absent=((1, 0),), ref=_covered_window_ref,
+   when=flag(1), ref=_covered_window_ref,
    glsl="{ " + _BOUNDS + """
     {y} = 0;
     for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {y} |= {front}(ivec2(a_, b_)) >= 0 ? 2 : 1;
@@ -168,7 +168,7 @@ op("covered_window", "front tiles", attrs=_WINDOW, infer=_window_infer, reads="t
    sample=lambda rng: ([rng.integers(-1, 2, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
                        {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
    doc="Window of the frontal stencil S^H: bit 1 where a covered pixel is in it, bit 0 where an uncovered one is.")
-op("edge_mask", "across tiles", attrs=_WINDOW, infer=_window_infer, reads="texel tile", cost=50, absent=((1, 0),),
+op("edge_mask", "across tiles", attrs=_WINDOW, infer=_window_infer, reads="texel tile", cost=50, when=flag(1),
    ref=_edge_mask_ref, glsl="{ " + _BOUNDS + """
     int near_ = 0;
     for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) near_ |= {across}(ivec2(a_, b_));
@@ -178,7 +178,7 @@ op("edge_mask", "across tiles", attrs=_WINDOW, infer=_window_infer, reads="texel
    doc="Edge mask E (paper 3.4.3): covered and other pixels in the window. Rows first by covered_window, then columns here.")
 
 op("inside_tiles", "value tiles", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[0].extent), reads="own tile", cost=2,
-   absent=((1, 0),), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",
+   when=flag(1), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",
    ref=lambda value, tiles, tile: np.where(spread(tiles, value.shape[1], value.shape[0], tile) != 0, value, 0),
    vjp=lambda g, y, value, tiles, tile: (apply("inside_tiles", g, tiles, tile=tile), None),
    sample=lambda rng: ([rng.normal(size=(20, 35, 3)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),

@@ -13,7 +13,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import Extent, Node, image, is_int, table
-from ..optable import Listed, Loop, apply, common_extent, op
+from ..optable import Listed, Loop, apply, common_extent, empty, flag, op
 from .lookup import constant
 from .texture import FETCHES, FOOTPRINT, TEXELS, WRAPS, _infer, _sample_ref, footprint
 
@@ -68,7 +68,7 @@ def _listed(node: Node) -> Listed:
 _BILINEAR = "mix(mix(t00_, t10_, s_.x), mix(t01_, t11_, s_.x), s_.y)"
 # Always by fetches: samplers have weights of 8 bits, and the transpose is of the exact ones.
 op("sample_exact", "texture uv covered", infer=_infer, reads="texel own own", cost=40, vjp=_sample_vjp, listed=_listed,
-   absent=((2, 0),), ref=lambda texture, uv, covered, wrap: np.where(covered != 0, _sample_ref(texture, uv, wrap), 0),
+   when=flag(2), ref=lambda texture, uv, covered, wrap: np.where(covered != 0, _sample_ref(texture, uv, wrap), 0),
    glsl=lambda node: "{ " + FOOTPRINT + TEXELS[node.attrs["wrap"]] + FETCHES.replace("{t}", "{type}")
    + "{y} = {covered} != 0 ? " + _BILINEAR + " : {type}(0); }",
    sample=lambda rng: ([rng.normal(size=(5, 4, 3)), rng.uniform(-0.4, 1.4, (6, 5, 2)), rng.integers(0, 2, (6, 5, 1))],
@@ -335,7 +335,7 @@ def _gather_sample(rng):
 _ENTRY = "{ vec2 e_ = {entries_at}(k_);"
 _ADD = "{y} += e_.y * {g_at}(int(e_.x));"
 op("texture_gather", "g rows entries", sums=(0,), reads="texel own texel", ref=lambda g, rows, entries: _lanes_ref(g, rows, entries, 1, 1),
-   infer=_gather_infer, cost=60, absorbs_empty=(1,),
+   infer=_gather_infer, cost=60, when=empty(1),
    sample=lambda rng: (_gather_sample(rng), {}),
    loop=Loop("for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) " + _ENTRY, _ADD),
    doc="For each texel the sum of weight x g over its entries; no second derivative.")

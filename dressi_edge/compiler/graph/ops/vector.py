@@ -5,7 +5,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import is_int, vector_type
-from ..optable import apply, common_extent, elementwise, op, product
+from ..optable import apply, common_extent, elementwise, op, product, zero
 
 _AXIS = {"x": 0, "y": 1, "z": 2, "w": 3}
 
@@ -42,7 +42,7 @@ def _swizzle_glsl(node):
     return "{y} = {a};" if node.inputs[0].channels == 1 else "{y} = {a}.{channels};"
 
 
-op("swizzle", "a", infer=_swizzle_infer, vjp=_swizzle_vjp, glsl=_swizzle_glsl, cost=0,
+op("swizzle", "a", infer=_swizzle_infer, vjp=_swizzle_vjp, glsl=_swizzle_glsl, cost=0, part=True,
    ref=lambda a, channels: a[..., [_AXIS[c] for c in channels]],
    sample=lambda rng: ([rng.normal(size=(4, 5, 4))], {"channels": "wxx"}),
    doc="Channels by name (x y z w), 1 to 4 of them in any order.")
@@ -71,7 +71,7 @@ def _dot_infer(name, inputs, attrs):
     return "float", extent
 
 
-op("dot", "a b", absorbs=(0, 1), size=product, infer=_dot_infer, ref=lambda a, b: (a * b).sum(2, keepdims=True), cost=3,
+op("dot", "a b", when=zero(0, 1), size=product, infer=_dot_infer, ref=lambda a, b: (a * b).sum(2, keepdims=True), cost=3,
    glsl="{y} = dot({a}, {b});",
    vjp=lambda g, y, a, b: (g * b, g * a),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}), doc="Inner product of two vectors.")
@@ -83,7 +83,7 @@ def _cross_infer(name, inputs, attrs):
     return "vec3", common_extent(name, inputs)
 
 
-op("cross", "a b", absorbs=(0, 1), size=product, infer=_cross_infer, ref=lambda a, b: np.cross(a, b, axis=2), cost=5,
+op("cross", "a b", when=zero(0, 1), size=product, infer=_cross_infer, ref=lambda a, b: np.cross(a, b, axis=2), cost=5,
    glsl="{y} = cross({a}, {b});",
    vjp=lambda g, y, a, b: (apply("cross", b, g), apply("cross", g, a)),
    sample=lambda rng: ([rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))], {}), doc="Cross product of two vec3.")
