@@ -173,15 +173,18 @@ def _check_names(names: list[str]) -> None:
 
 
 def _save_states(session, path: str) -> None:
-    """Every state of the bundle as an array of its user's shape; and where the mesh file has more vertices than `vertices` has rows,
-    as some are at one position, `vertex_map`: the row of each of the file's."""
+    """Every state of the bundle as an array of its user's shape, points in float64 where the bundle has a frame of its own; and where the
+    mesh file has more vertices than `vertices` has rows, as some are at one position, `vertex_map`: the row of each of the file's."""
     import numpy as np
     data, arrays = io.BytesIO(), {name: session.get(name) for name in _states(session)}
-    if (entry := session.bundle.description["meta"].get("vertex_map")) is not None:
-        try:
+    meta, key = session.bundle.description["meta"], "points"
+    try:
+        for name in meta.get("points", ()):
+            arrays[name] = arrays[name] + np.array(meta["origin"], np.float64).reshape(3)
+        if (entry := meta.get(key := "vertex_map")) is not None:
             arrays.setdefault("vertex_map", np.frombuffer(entry["data"], "<i4"))
-        except (KeyError, TypeError, ValueError) as error:
-            raise BundleError(f"meta.vertex_map is malformed ({error}); compile the bundle again") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError(f"meta.{key} is malformed ({error}); compile the bundle again") from None
     np.savez(data, **arrays)
     write_file(path, data.getvalue())
 

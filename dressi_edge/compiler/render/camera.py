@@ -68,14 +68,19 @@ def rotation_rows(rotation: Node) -> tuple[Node, Node, Node]:
             compose(c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)))
 
 
-def posed_views(base: ViewTable, rotation: Node, translation: Node) -> ViewTable:
-    """Views whose poses are parameters: rotation vectors and translations (N x vec3) applied after the base poses:
-    x_cam = R(rotation) (R0 x + t0) + translation. Zero leaves the base poses."""
+def posed_views(base: ViewTable, rotation: Node, translation: Node, pivot: Sequence[float] | None = None) -> ViewTable:
+    """Views whose poses are parameters: rotation vectors and translations (N x vec3) in camera space, applied after the base poses. About
+    the pivot, a point in world space that the base pose takes to p: x_cam = R(rotation) (R0 x + t0 - p) + p + translation. Without one p is
+    the eye, 0. Zero leaves the base poses, exactly.
+
+    About the eye a turn and a shift move what is seen almost alike, and a fit stays where they cancel; about its middle they do not."""
     turned = rotation_rows(rotation)
+    p = None if pivot is None else compose(*(dot(row, compose(*pivot, 1.0)) for row in base.rows))
     rows = []
-    for row, t in zip(turned, channels(translation)):
+    for k, (row, t) in enumerate(zip(turned, channels(translation))):
         r = row.x * base.rows[0] + row.y * base.rows[1] + row.z * base.rows[2]
-        rows.append(compose(r.x, r.y, r.z, r.w + t))
+        shift = r.w + t if p is None else r.w + (channels(p)[k] - dot(row, p)) + t
+        rows.append(compose(r.x, r.y, r.z, shift))
     return ViewTable(tuple(rows), base.projection, base.count, base.near, base.far)
 
 

@@ -26,6 +26,7 @@ from ..render.light import Light
 from ..render.optimizer import Adam, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
+from . import sense
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
 from .tables import NEEDED, Table
@@ -87,6 +88,8 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     softs = [(p, {**settings["soft"], **p.soft}) for p in phases]
 
     mesh, views = make_mesh(), make_views()
+    views_table.checked(sense.check, mesh, views, any(loss.kind == "silhouette" for phase in phases for loss in phase.losses),
+                        "mesh.normalize has moved and scaled the mesh, but not the cameras" if job.get("mesh").get("normalize") else "")
     albedo = settings["albedo"] or _albedo(phases, mesh)
     textured = None if albedo != "texture" else settings["texture_size"] if mesh.texture is None else mesh.texture.shape[1::-1]
     height, width = views.images.shape[1:3]
@@ -98,7 +101,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     moved = any("vertices" in phase.optimize for phase in phases)
     normals = settings["normals"] or ("smooth" if moved or mesh.normals is None else "file")
     problem = render.checked(
-        Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights, normals=normals,
+        Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights, normals=normals, judged=True,
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
     problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
     side = max(problem.width, problem.height)

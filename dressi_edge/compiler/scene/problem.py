@@ -21,6 +21,7 @@ from ..graph.functions import compose
 from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import Camera
+from ..io.frame import recentred
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.views import Views
 from ..render import loss as terms
@@ -31,6 +32,7 @@ from ..render.optimizer import Optimizer
 from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import encode_srgb
+from . import sense
 from .limits import fits
 from .scene import ORDERS, Scene
 
@@ -83,7 +85,9 @@ class Problem:
 
     order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one. shading "unlit" or "lambert" with `lights` and `normals`
     "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices); `srgb` decodes the mesh's texture and colours, and encodes
-    the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. Raises InputError.
+    the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. judged: the
+    start was asked for its sense already (`sense.check`). A mesh far from its origin is moved to it, with cameras and lights, by -`origin`.
+    Raises InputError.
     """
 
     mesh: Mesh
@@ -101,10 +105,10 @@ class Problem:
     texture_grad: str = "exact"
     normals: str = "smooth"
     program: Program = field(default_factory=Program)
+    judged: bool = False
 
     def __post_init__(self):
         self.wrap = self.wrap or self.mesh.wrap
-        self.cameras = self.views.cameras if isinstance(self.views, Views) else tuple(self.views)
         for name, value, allowed in (("order", self.order, ORDERS), ("shading", self.shading, SHADINGS), ("albedo", self.albedo, ALBEDOS),
                                      ("wrap", self.wrap, WRAPS), ("normals", self.normals, NORMALS),
                                      ("texture_grad", self.texture_grad, ("exact", "inverse_uv"))):
@@ -119,6 +123,9 @@ class Problem:
             raise InputError("shading lambert needs lights; give at least one")
         if self.albedo == "texture" and self.mesh.uvs is None:
             raise InputError("albedo texture needs a mesh with texture coordinates; use colors, or a mesh that has them")
+        self.mesh, self.views, self.lights, self.origin = recentred(self.mesh, self.views, self.lights)
+        self.cameras = self.views.cameras if isinstance(self.views, Views) else tuple(self.views)
+        self.pivot = tuple(map(float, (self.mesh.positions.min(axis=0) + self.mesh.positions.max(axis=0)) / 2.0))
         self.scene = s = Scene(self.cameras, self.background, encode_srgb if self.srgb else None, self.program)
         self.width, self.height = s.width, s.height
         self.parameters: dict[str, Node] = {"vertices": s.parameter("vertices", self.mesh.positions, kind="table")}
@@ -126,7 +133,7 @@ class Problem:
         n = len(self.cameras)
         for name in ("rotation", "translation"):
             self.parameters[name] = s.parameter(name, np.zeros((n, 3)), kind="table")
-        s.pose_cameras(self.parameters["rotation"], self.parameters["translation"])
+        s.pose_cameras(self.parameters["rotation"], self.parameters["translation"], self.pivot)
         lights = [self._light(k, light) for k, light in enumerate(self.lights)]
         material = Lambert(color, lights) if self.shading == "lambert" else Unlit(color)
         self.part = s.add(self.mesh, self.parameters["vertices"], material, "mesh", self.normals)
@@ -196,5 +203,7 @@ class Problem:
         given = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
         profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in given]
         fits(self, profiles)
+        if not self.judged:
+            sense.check(self.mesh, self.views)
         self.program.meta.update(record(self))
         return compile_program(self.program, profiles, path, **options)

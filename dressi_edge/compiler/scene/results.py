@@ -51,8 +51,11 @@ def record(problem) -> dict:
              "phases": [[spec.name, spec.steps] for spec in problem.program.plans if spec.name in problem.phases],
              "images": list(names), "image_size": [problem.width, problem.height],
              "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far]
-                         for c in cameras]}
-    meta |= {"shading": problem.shading, "wrap": problem.wrap}
+                         for c in cameras],
+             "pivot": list(problem.pivot), "shading": problem.shading, "wrap": problem.wrap}
+    if problem.origin.any():  # of the device's frame in the input's; these values are points in it
+        meta |= {"origin": problem.origin.tolist(),
+                 "points": ["vertices", *(f"light{k}.vector" for k, light in enumerate(problem.lights) if light.kind == "point")]}
     if mesh.uvs is not None:
         meta |= {"uvs": _pack(mesh.uvs, "<f8"), "uv_faces": _pack(mesh.uv_faces, "<i4")}
     for name, array in (("color_faces", mesh.color_faces), ("vertex_map", mesh.vertex_map)):
@@ -64,6 +67,26 @@ def record(problem) -> dict:
 def meta_of(session) -> dict:
     """The meta of the session's bundle."""
     return session.bundle.description["meta"]
+
+
+def _origin(session, name: str | None = None) -> np.ndarray:
+    """(3,) what is to be added to points on the device to have them in the input's frame; zero for values that are no points. Raises
+    BundleError."""
+    meta = meta_of(session)
+    try:
+        origin = np.array(meta.get("origin", (0.0, 0.0, 0.0)), np.float64).reshape(3)
+        return origin if name is None or name in meta.get("points", ()) else np.zeros(3)
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"meta.origin is malformed ({error}); compile the bundle again") from None
+
+
+def _pivot(session) -> np.ndarray | None:
+    """(3,) the point that poses turn about, on the device; None: each about its eye. Raises BundleError."""
+    try:
+        pivot = meta_of(session).get("pivot")
+        return None if pivot is None else np.array(pivot, np.float64).reshape(3)
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"meta.pivot is malformed ({error}); compile the bundle again") from None
 
 
 def _has(session, name: str) -> bool:
@@ -85,7 +108,7 @@ def mesh_of(session) -> Mesh:
     texture = encoded(session.get("texture")) if _has(session, "texture") and uvs is not None else None
     colors = encoded(session.get("colors")) if _has(session, "colors") else None
     color_faces, vertex_map = (_unpack(meta, name, "<i4", columns) for name, columns in (("color_faces", 3), ("vertex_map", 1)))
-    return Mesh(session.get("vertices"), faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces,
+    return Mesh(session.get("vertices") + _origin(session), faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces,
                 vertex_map=None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
 
 
@@ -176,18 +199,21 @@ def _found(session) -> dict:
     d = session.bundle.description
     changed = {d["values"][k]["name"] for plan in d["plans"] for k in plan["updates"]}
     out: dict = {}
-    lights = {name: np.asarray(session.get(name)).tolist() for name in sorted(changed)
+    lights = {name: (np.asarray(session.get(name)) + _origin(session, name)).tolist() for name in sorted(changed)
               if name.startswith("light") and name.count(".") == 1}
     if lights:
         out["lights"] = lights
     if changed & {"rotation", "translation"}:
         rotation, translation = (np.asarray(session.get(name), np.float64) for name in ("rotation", "translation"))
-        poses = []
+        poses, pivot = [], _pivot(session)
         for row, turn, shift in zip(meta_of(session)["cameras"], rotation, translation):
             base, pose = np.array(row[:12], np.float64).reshape(3, 4), np.eye(4)
+            p = np.zeros(3) if pivot is None else base @ (*pivot, 1.0)  # where the pivot is for the camera: see `posed_views`
             pose[:3] = rotation_matrix(turn) @ base
-            pose[:3, 3] += shift
-            poses.append(inverse_rigid(pose).tolist())
+            pose[:3, 3] += p - rotation_matrix(turn) @ p + shift
+            pose = inverse_rigid(pose)
+            pose[:3, 3] += _origin(session)
+            poses.append(pose.tolist())
         out["camera_to_world"] = dict(zip(meta_of(session)["images"], poses))
     return out
 

@@ -151,11 +151,12 @@ class Scene:
         self.parts.append(part)
         return part
 
-    def pose_cameras(self, rotation: Node, translation: Node) -> None:
-        """Cameras that move: vec3 tables of the views, on top of where they are (`camera.posed_views`)."""
+    def pose_cameras(self, rotation: Node, translation: Node, pivot: Sequence[float] | None = None) -> None:
+        """Cameras that move: vec3 tables of the views, on top of where they are, about the pivot, a point in world space such as the middle
+        of what they see; without one each about its eye (`camera.posed_views`)."""
         if self._frames:
             raise InputError("cameras are posed after a frame was made; pose them first")
-        self.views = posed_views(fixed_views(self.cameras), rotation, translation)
+        self.views = posed_views(fixed_views(self.cameras), rotation, translation, pivot)
 
     def step(self, phase: str) -> Node:
         """How many steps of a phase are done: an int of extent 1x1."""

@@ -1,0 +1,53 @@
+"""Scenes far from their origin, such as those in map coordinates: fp32 on the device has 7 digits, and 5000 km leave half a metre.
+
+In: a mesh, views and lights in the input's frame, float64. Out: the same about the mesh's middle, and the origin of that frame in the
+input's, which results are given back with. What is near its origin stays as it is, bit for bit.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .cameras import Camera
+from .mesh import Mesh
+from .views import Views
+
+if TYPE_CHECKING:
+    from ..render.light import Light
+
+FAR = 64.0  # radii from the origin from which a mesh is moved: fp32 is then 4e-6 of the radius
+
+
+def origin_of(positions: np.ndarray) -> np.ndarray:
+    """(3,) float64: the middle of the bounding box of positions (n, 3) that are far from the origin for their extent, else zero."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    middle, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+    return middle if radius > 0.0 and np.abs(middle).max() > FAR * radius else np.zeros(3)
+
+
+def recentred(mesh: Mesh, views: Views | Sequence[Camera], lights: Sequence[Light]
+              ) -> tuple[Mesh, Views | Sequence[Camera], Sequence[Light], np.ndarray]:
+    """Mesh, views and lights moved by -origin, and the origin (3,): zero where nothing was moved."""
+    origin = origin_of(mesh.positions)
+    if not origin.any():
+        return mesh, views, lights, origin
+    mesh = replace(mesh, positions=mesh.positions - origin)
+    lights = tuple(_moved_light(x, origin) for x in lights)
+    cameras = tuple(_moved(c, origin) for c in (views.cameras if isinstance(views, Views) else views))
+    return mesh, replace(views, cameras=cameras) if isinstance(views, Views) else cameras, lights, origin
+
+
+def _moved(camera: Camera, origin: np.ndarray) -> Camera:
+    """The camera in the frame about `origin`: R (x + origin) + t, so that a rotation of few digits is not asked for the eye."""
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] += pose[:3, :3] @ origin
+    return replace(camera, world_to_camera=pose)
+
+
+def _moved_light(light: Light, origin: np.ndarray) -> Light:
+    """The light in the frame about `origin`; directions stay, and so do vectors that are nodes of a graph."""
+    known = light.kind == "point" and isinstance(light.vector, tuple)
+    return replace(light, vector=tuple(np.subtract(light.vector, origin).tolist())) if known else light
