@@ -152,8 +152,7 @@ def halves(x):
     return [np.array([[c[j:j + 2, i:i + 2].mean((0, 1)) for i in range(0, c.shape[1], 2)] for j in range(0, c.shape[0], 2)]) for c in x]
 
 
-@pytest.mark.parametrize("levels", [1, 2, 4])
-@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("levels, masked", [(1, False), (2, False), (4, True)])
 def test_the_pyramid_is_the_mean_of_the_l1_of_each_half(levels, masked):
     def loop(a, b):
         cells, found = cells_of((a - b) * (MASK[..., None] if masked else 1.0)), []

@@ -8,14 +8,14 @@ from . import ops as _ops  # noqa: F401
 from .ir import Node
 from .ops.lookup import constant, constant_table, gather_sum, lookup
 from .ops.matrix import matmul, sparse_matmul
-from .ops.reduce import mean, total
+from .ops.reduce import largest, mean, total
 from .ops.stencil import convolve, downsample, shift, upsample
 from .ops.tables import concat, pad, reshape, slice_table, to_image, to_table
 from .ops.vector import compose
 from .optable import apply
 
 __all__ = ["absolute", "apply", "channels", "clamp", "compose", "concat", "constant", "constant_table", "convolve", "cross", "dot",
-           "downsample", "equal", "gather_sum", "length", "lookup", "matmul", "maximum", "mean", "minimum", "mix", "normalize",
+           "downsample", "equal", "gather_sum", "largest", "length", "lookup", "matmul", "maximum", "mean", "minimum", "mix", "normalize",
            "not_equal", "pad", "reshape", "select", "shift", "sigmoid", "slice_table", "sparse_matmul", "sqrt", "stop_gradient",
            "to_float", "to_image", "to_int", "to_table", "total", "upsample"]
 

@@ -6,11 +6,14 @@ computed once a step. Step 0 decays the stored moments by a factor of 0, so that
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from ...cache.errors import InputError
-from ..graph.functions import clamp, compose, maximum, minimum, select, sqrt, to_float
+from ...cache.layout import beyond_fp32
+from ..graph.functions import absolute, channels, clamp, compose, constant, dot, largest, maximum, minimum, select, sqrt, to_float, total
 from ..graph.ir import UNIT, Node
 from ..graph.optable import apply, as_node
 from ..graph.program import Program
@@ -31,10 +34,11 @@ def _check(program: Program, name: str, parameter: Node, gradient: Node, step: N
         raise InputError(f"optimizer: step counter {step!r}; a 1x1 int is needed")
 
 
-def state(program: Program, name: str, like: str) -> Node:
-    """What an optimizer keeps: the state `name`, zero at first, laid out as the state `like`; phases that optimize the same parameter
-    share it."""
+def state(program: Program, name: str, like: str, vtype: str | None = None) -> Node:
+    """What an optimizer keeps: the state `name`, zero at first, laid out as the state `like`, or with another type; phases that optimize
+    the same parameter share it."""
     layout, known = program.values[like].layout, program.values.get(name)
+    layout = layout if vtype is None else replace(layout, vtype=vtype)
     if known is not None and program.roles[name] == "state" and known.layout == layout:
         return known.node
     return program.state(name, layout)
@@ -66,6 +70,33 @@ def one_minus_power(base: float, t: Node) -> Node:
     for k in range(9, 1, -1):
         series = near * (1.0 / k) * series + 1.0
     return select(x > -0.5, -(near * series), 1.0 - apply("exp", x))
+
+
+def _check_adam(optimizer) -> None:
+    """Of Adam and its kin: rate, betas, epsilon."""
+    object.__setattr__(optimizer, "rate", Schedule.parse(optimizer.rate, "rate"))
+    betas, epsilon = optimizer.betas, optimizer.epsilon
+    if not isinstance(betas, (tuple, list)) or len(betas) != 2:
+        raise InputError(f"betas is {betas!r}; two numbers are needed")
+    object.__setattr__(optimizer, "betas", tuple(betas))
+    for beta in betas:
+        _fraction("betas", beta)
+    # Squares of gradients under 1e-19 are zero in fp32, and the step is then m / epsilon: with a smaller one it would leap.
+    if isinstance(epsilon, bool) or not isinstance(epsilon, (int, float)) or not 1e-15 <= epsilon < math.inf:
+        raise InputError(f"epsilon is {epsilon!r}; at least 1e-15 is needed")
+
+
+def _top(x: Node) -> Node:
+    """The largest number of all entries and channels."""
+    first, *rest = channels(largest(x))
+    for channel in rest:
+        first = maximum(first, channel)
+    return first
+
+
+def _size(name: str, x, least: float = 0.0) -> None:
+    if isinstance(x, bool) or not isinstance(x, (int, float)) or not least < x or beyond_fp32(x):
+        raise InputError(f"{name} is {x!r:.40}; a number above {least:g}, finite in fp32, is needed")
 
 
 class Optimizer(Protocol):
@@ -118,15 +149,11 @@ class Adam:
     epsilon: float = 1e-8
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", Schedule.parse(self.rate, "rate"))
-        if not isinstance(self.betas, (tuple, list)) or len(self.betas) != 2:
-            raise InputError(f"betas is {self.betas!r}; two numbers are needed")
-        object.__setattr__(self, "betas", tuple(self.betas))
-        for beta in self.betas:
-            _fraction("betas", beta)
-        # Squares of gradients under 1e-19 are zero in fp32, and the step is then m / epsilon: with a smaller one it would leap.
-        if isinstance(self.epsilon, bool) or not isinstance(self.epsilon, (int, float)) or not 1e-15 <= self.epsilon < math.inf:
-            raise InputError(f"epsilon is {self.epsilon!r}; at least 1e-15 is needed")
+        _check_adam(self)
+
+    def _kept(self, parameter: Node, step: Node, mask: Node | None) -> Node:
+        """What a step starts from."""
+        return parameter
 
     def update(self, program: Program, name: str, parameter: Node, gradient: Node, step: Node, *, low=None, high=None,
                mask: Node | None = None) -> dict[str, Node]:
@@ -147,5 +174,130 @@ class Adam:
         scalars = apply("broadcast", compose(*decays, size, root * self.epsilon), extent=g.extent)
         m = state(program, m_name, name) * scalars.x + g * (1.0 - beta1)
         v = state(program, v_name, name) * scalars.y + g * g * (1.0 - beta2)
-        moved = parameter - m * scalars.z / (sqrt(v) + scalars.w)
+        moved = self._kept(parameter, step, mask) - m * scalars.z / (sqrt(v) + scalars.w)
         return {name: limited(moved, low, high), m_name: m, v_name: v}
+
+
+@dataclass(frozen=True)
+class AdamW(Adam):
+    """Adam, and each step takes rate x decay of the parameter away, beside the gradient and not through it (Loshchilov and Hutter 2019,
+    algorithm 2). decay from 0 on. Entries that are not free do not decay. Raises InputError."""
+
+    decay: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.decay != 0:
+            _size("decay", self.decay)
+
+    def _kept(self, parameter: Node, step: Node, mask: Node | None) -> Node:
+        part = self.rate.node(step) * self.decay
+        return parameter * (1.0 - (part if mask is None else mask * part))
+
+
+@dataclass(frozen=True)
+class AdamUniform:
+    """Adam with one second moment for all numbers of a vector, or for a whole parameter, so that a step keeps the direction of the first
+    moment: smooth gradients make smooth steps (Nicolet et al. 2021, section 4).
+
+    shared "parameter": the largest second moment of all its numbers, as theirs; "vector": in each entry that of |g|^2, whatever the
+    axes, so that no entry moves much further than the rate. rate, betas, epsilon as of `Adam`. Raises InputError.
+    """
+
+    rate: Schedule | float = 0.01
+    betas: tuple[float, float] = (0.9, 0.999)
+    epsilon: float = 1e-8
+    shared: str = "parameter"
+
+    def __post_init__(self) -> None:
+        _check_adam(self)
+        if self.shared not in ("parameter", "vector"):
+            raise InputError(f"shared is {self.shared!r:.40}; parameter or vector is allowed")
+
+    def update(self, program: Program, name: str, parameter: Node, gradient: Node, step: Node, *, low=None, high=None,
+               mask: Node | None = None) -> dict[str, Node]:
+        """See `Adam.update`; the states are `<name>.adam_m` and `<name>.uniform_v`, or where a vector shares it `<name>.vector_v`,
+        a float for each."""
+        _check(program, name, parameter, gradient, step)
+        g = gradient if mask is None else gradient * mask
+        t, vector = to_float(step + 1), self.shared == "vector"
+        (beta1, beta2), (m_name, v_name) = self.betas, (f"{name}.adam_m", f"{name}.{'vector' if vector else 'uniform'}_v")
+        root = sqrt(one_minus_power(beta2, t))
+        size = self.rate.node(step) * root / one_minus_power(beta1, t)
+        m = state(program, m_name, name) * _decay(step, beta1, g) + g * (1.0 - beta1)
+        v = state(program, v_name, name, "float" if vector else None) * _decay(step, beta2, g)
+        v = v + (dot(g, g) if vector else g * g) * (1.0 - beta2)
+        top = v
+        if self.shared == "parameter":
+            top = _top(v)
+        factor = size / (sqrt(top) + root * self.epsilon)
+        return {name: limited(parameter - m * factor, low, high), m_name: m, v_name: v}
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """An optimizer that is given a smaller gradient: each number within [-value, value], then all of the parameter's together no longer
+    than `norm`, which keeps their direction. Either may be None. One parameter at a time. Raises InputError."""
+
+    optimizer: Optimizer
+    value: float | None = None
+    norm: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_inner("Clipped", self.optimizer)
+        if self.value is None and self.norm is None:
+            raise InputError("Clipped limits nothing; give it a value, a norm, or both")
+        for key in ("value", "norm"):
+            if getattr(self, key) is not None:
+                _size(f"Clipped: {key}", getattr(self, key))
+
+    def update(self, program: Program, name: str, parameter: Node, gradient: Node, step: Node, *, low=None, high=None,
+               mask: Node | None = None) -> dict[str, Node]:
+        """See `Adam.update`; the states are the optimizer's. Entries that are not free are no part of the norm."""
+        g = gradient if self.value is None else clamp(gradient, -self.value, self.value)
+        if self.norm is not None:
+            free = g if mask is None else g * mask
+            top = maximum(_top(absolute(free)), 1e-30)  # its square may be beyond fp32, or vanish
+            length = sqrt(total(dot(free / top, free / top)))  # of the gradient, in units of its largest number
+            g = g * minimum(self.norm / top / maximum(length, 1e-30), 1.0)
+        return self.optimizer.update(program, name, parameter, g, step, low=low, high=high, mask=mask)
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """An optimizer whose steps are multiplied, entry by entry: a rate of its own for each. scale: an array like the parameter without its
+    channels, or a float node of its extent or 1x1. An entry of scale 0 stays. Raises InputError."""
+
+    optimizer: Optimizer
+    scale: np.ndarray | Node | float
+
+    def __post_init__(self) -> None:
+        _check_inner("Scaled", self.optimizer)
+        if not isinstance(self.scale, Node):
+            try:
+                scale = np.asarray(self.scale, np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"Scaled: scale is {self.scale!r:.60}; numbers are needed") from None
+            if beyond_fp32(scale).any():
+                raise InputError("Scaled: scale has numbers that are not finite in fp32")
+            object.__setattr__(self, "scale", scale)
+
+    def update(self, program: Program, name: str, parameter: Node, gradient: Node, step: Node, *, low=None, high=None,
+               mask: Node | None = None) -> dict[str, Node]:
+        """See `Adam.update`; the states are the optimizer's."""
+        layout, scale = replace(program.values[name].layout, vtype="float"), self.scale
+        if not isinstance(scale, Node):
+            if scale.ndim == 0:
+                scale = as_node(float(scale))
+            else:
+                image = layout.to_image(scale, f"optimizer of {name}: scale")
+                scale = constant(image, parameter.extent)
+        if scale.vtype != "float" or scale.extent not in (UNIT, parameter.extent):
+            raise InputError(f"optimizer of {name}: scale is {scale!r}; a float for each entry of {parameter!r} is needed")
+        updates = self.optimizer.update(program, name, parameter, gradient, step, mask=mask)
+        return {**updates, name: limited(parameter + (updates[name] - parameter) * scale, low, high)}
+
+
+def _check_inner(who: str, optimizer) -> None:
+    if not callable(getattr(optimizer, "update", None)):
+        raise InputError(f"{who}: {optimizer!r:.60} is no optimizer; something with an update method, such as Adam, is needed")

@@ -25,7 +25,7 @@ from ..render.loss import (
     uniform_laplacian,
 )
 from ..render.material import BlinnPhong, Lambert, Texture, Unlit, Vertex
-from ..render.optimizer import Adam, Optimizer, Sgd
+from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
 from ..render.raster import HardSoftRas, Outline, Renderer, Softness
 from ..render.schedule import Schedule
 from ..render.surface import Surface
@@ -33,8 +33,9 @@ from ..render.tone import encode_srgb
 from .problem import Loss, Problem
 from .scene import Scene
 
-__all__ = ["Adam", "BlinnPhong", "Camera", "F", "HardSoftRas", "Lambert", "Light", "Loss", "Mesh", "Optimizer", "Outline",
-           "Problem", "Renderer", "Scene", "Schedule", "Sgd", "Softness", "Surface", "Texture", "Unlit", "Vertex", "Views",
-           "charbonnier", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points", "huber",
-           "icosphere", "l1", "l2", "landmarks", "load_mesh", "load_views", "look_at", "mean_square", "normal_consistency",
-           "normal_loss", "orbit", "pear", "pyramid_l1", "sphere", "ssim", "ssim_loss", "uniform_laplacian"]
+__all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "F", "HardSoftRas", "Lambert", "Light", "Loss",
+           "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Surface",
+           "Texture", "Unlit", "Vertex", "Views", "charbonnier", "cotangent_laplacian", "depth_loss", "edge_length",
+           "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited", "load_mesh", "load_views",
+           "look_at", "mean_square", "normal_consistency", "normal_loss", "orbit", "pear", "pyramid_l1", "sphere", "ssim",
+           "ssim_loss", "state", "uniform_laplacian"]

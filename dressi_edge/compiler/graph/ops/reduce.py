@@ -54,6 +54,35 @@ op("block_sum", "a", infer=_blocks, reads="texel", ref=_block_ref, cost=500,
    doc="Sum over blocks of bw x bh texels.")
 
 
+LEAST = float(np.finfo(np.float32).min)
+
+
+def _block_max_ref(a, bw, bh, count):
+    h, w, c = a.shape
+    padded = np.full((-(-h // bh) * bh, -(-w // bw) * bw, c), LEAST)
+    padded[:h, :w] = np.where(_valid((h, w), count), a, LEAST)
+    return padded.reshape(padded.shape[0] // bh, bh, -1, bw, c).max((1, 3))
+
+
+op("block_max", "a", infer=_blocks, reads="texel", ref=_block_max_ref, cost=500,
+   glsl="{ {y} = {type}(" + repr(LEAST) + """);
+    ivec2 f_ = {p} * ivec2({bw}, {bh}), l_ = min(f_ + ivec2({bw}, {bh}), ivec2({a_w}, {a_h}));
+    for (int b_ = f_.y; b_ < l_.y; ++b_) for (int a_ = f_.x; a_ < l_.x; ++a_)
+    if (b_ * {a_w} + a_ < {count}) {y} = max({y}, {a}(ivec2(a_, b_))); }""",
+   sample=lambda rng: ([rng.normal(size=(7, 9, 3))], {"bw": 4, "bh": 3, "count": 60}),
+   doc="The largest of blocks of bw x bh texels, each channel for itself; no gradient.")
+
+
+def largest(a: Node) -> Node:
+    """Of each channel the largest number of an image's texels, padding left out; of extent 1x1, without gradient."""
+    count = a.extent.count
+    while a.extent != UNIT:
+        e = a.extent
+        a = apply("block_max", a, bw=min(BLOCK, e.width), bh=min(BLOCK, e.height), count=count)
+        count = a.extent.count
+    return a
+
+
 def lower_sum(a: Node, count: int) -> Node:
     """The passes of a full sum: blocks of 32 x 32 until one texel is left."""
     while a.extent != UNIT:
