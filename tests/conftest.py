@@ -8,7 +8,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 def pytest_addoption(parser):
-    parser.addoption("--update-golden", action="store_true", help="write the golden files anew instead of comparing with them")
+    parser.addoption("--update-golden", action="store_true", help="write tests/goldens anew instead of comparing with it")
 
 
 @pytest.fixture(scope="session")

@@ -149,6 +149,11 @@ def glsl(shaders: Sequence[tuple[str, str]]) -> str:
     return "\n".join(f"// shader {k} ({stage})\n{source}" for k, (stage, source) in enumerate(shaders))
 
 
+def shown(name: str, value) -> str:
+    """What the pass of this name gave."""
+    return glsl(value) if name == "shaders" else text(value)
+
+
 def functions(plan: PackedPlan) -> int:
     """How many functions (nodes of the graph, each counted once) its stages hold."""
     return len({node for stage in plan.stages for s in stage.substages for node in s.nodes})
@@ -170,11 +175,10 @@ def watcher(variant: str = "") -> Callable[[str, object], None]:
 
     def see(name: str, value) -> None:
         nonlocal count
-        shown = glsl(value) if name == "shaders" else ""
         if level >= _LEVELS.get(name, level + 1):
-            sys.stderr.write(shown or text(value))
+            sys.stderr.write(shown(name, value))
         if folder:
-            files = {f"{count}-{name}.txt": shown or text(value)}
+            files = {f"{count}-{name}.txt": shown(name, value)}
             if name == "shaders":
                 files |= {f"shader{k:03}.{stage}": source for k, (stage, source) in enumerate(value)}
             if isinstance(value, Mapping):
