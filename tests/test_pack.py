@@ -5,6 +5,7 @@ with the float64 reference.
 """
 
 import dataclasses
+import gc
 
 import numpy as np
 import pytest
@@ -19,10 +20,15 @@ from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.formats import format_bits
 from dressi_edge.compiler.graph.functions import apply, constant_table, dot, gather_sum, mean, select, sigmoid, total
-from dressi_edge.compiler.graph.ir import topological
+from dressi_edge.compiler.graph.ir import intern, topological
 from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.shapes import sphere
 from dressi_edge.compiler.passes import pack, split, substage
 from dressi_edge.compiler.passes.simplify import lower, simplify
+from dressi_edge.compiler.render.optimizer import Adam
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 pytest_plugins = ["gpu"]
 
@@ -334,6 +340,58 @@ def test_one_program_built_or_compiled_twice_is_one_bundle(seed):
     others = [Graph(k + 50).nodes for k in range(5)]  # noqa: F841
     del graph
     assert dumped(given(seed)[0]) == first
+
+
+def recipe(program):
+    """The graph of a program as rows (op, numbers of inputs, ...), without its nodes."""
+    order = topological(n for spec in program.plans for n in (*spec.updates.values(), *spec.outputs.values()))
+    at = {n: k for k, n in enumerate(order)}
+    return [(n.op, tuple(at[x] for x in n.inputs), n.attrs, n.vtype, n.extent) for n in order]
+
+
+def made_in_another_order(rows, rng):
+    """The same nodes, made anew in a random order: what is alive when another program with parts in common is."""
+    made, ready = {}, [k for k, row in enumerate(rows) if not row[1]]
+    waiting, users = {k: len(set(row[1])) for k, row in enumerate(rows)}, {k: [] for k in range(len(rows))}
+    for k, row in enumerate(rows):
+        for x in set(row[1]):
+            users[x].append(k)
+    while ready:
+        k = ready.pop(rng.integers(len(ready)))
+        op, inputs, *rest = rows[k]
+        made[k] = intern(op, tuple(made[x] for x in inputs), *rest)
+        for user in users[k]:
+            waiting[user] -= 1
+            if not waiting[user]:
+                ready.append(user)
+    return list(made.values())
+
+
+def colors_of_two_layers():
+    """The program of a small problem that draws and optimizes all there is."""
+    problem = Problem(sphere(42, 0.7), orbit(2, (20.0,), 3.0, 42.0, (24, 20)), albedo="colors")
+    problem.phase("fit", 10, {"vertices": Adam(0.01), "colors": Adam(0.03)}, [Loss("silhouette"), Loss("color"), Loss("laplacian", 0.1)],
+                  Softness(2.0, layers=2))
+    return problem.program
+
+
+@pytest.mark.parametrize("make", [colors_of_two_layers, lambda: given(0)[0].program, lambda: given(2, 60)[0].program],
+                         ids=["problem", "graph 0", "graph 2"])
+def test_a_bundle_does_not_depend_on_what_else_is_alive_and_shares_its_nodes(make):
+    def dumped(program):
+        made = build(program, Profile.load("limit8"))
+        return bundle.dumps(made.description, made.blobs)
+
+    program = make()
+    first, rows = dumped(program), recipe(program)
+    del program
+    gc.collect()
+    others = made_in_another_order(rows, np.random.default_rng(1))
+    serials = {n.serial for n in others}
+    program = make()
+    shared = {n.serial for spec in program.plans for n in topological((*spec.updates.values(), *spec.outputs.values()))}
+    assert len(shared & serials) > 0.3 * len(shared), "little is shared: the test says nothing"
+    assert dumped(program) == first
 
 
 def test_what_is_packed_is_what_simplify_left():

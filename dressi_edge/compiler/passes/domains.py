@@ -70,12 +70,11 @@ def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
         return None
     inside = set(stage.nodes)
     total = sum(n.op.cost for n in stage.nodes)
-    conditions = {n.inputs[0] for n in stage.nodes if n.op.chooses}
-    conditions |= {n.inputs[when.input] for n in stage.nodes for when in n.op.when if when.flag}
+    conditions = dict.fromkeys(n.inputs[0] for n in stage.nodes if n.op.chooses)  # in the stage's order: the first of equals is taken
+    conditions |= dict.fromkeys(n.inputs[when.input] for n in stage.nodes for when in n.op.when if when.flag)
     tiles = {x: n.attrs["tile"] for n in stage.nodes for k, x in enumerate(n.inputs) if n.op.read(k) == TILE}
     best = None
-    for c in sorted((c for c in conditions if is_int(c.vtype) and c.channels == 1 and (c.extent == stage.extent or c in tiles)),
-                    key=lambda n: n.serial):
+    for c in (c for c in conditions if is_int(c.vtype) and c.channels == 1 and (c.extent == stage.extent or c in tiles)):
         known: dict[Node, np.ndarray] = {c: np.zeros(1, np.int64)}
         for n in stage.nodes:
             if n is not c:

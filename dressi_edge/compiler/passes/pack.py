@@ -10,7 +10,7 @@ recompute from what the reader fetches anyway are recomputed instead of stored. 
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from ...cache.profile import Profile
 from ..graph.formats import format_bits
@@ -76,7 +76,7 @@ def _groups(order: Sequence[Node], level: dict[Node, int]) -> list[list[Node]]:
     for n in order:
         if not is_leaf(n):
             key = (level[n], 0 if n.op.stage == "raster" else 1, n.extent.width, n.extent.height, n.extent.count, n.extent.partial,
-                   n.serial if n.op.stage == "raster" else 0)
+                   n.serial if n.op.stage == "raster" else 0)  # those two tell groups apart and order none
             groups.setdefault(key, []).append(n)
     return [groups[key] for key in sorted(groups, key=lambda key: key[:5])]
 
@@ -101,16 +101,17 @@ def _cone(xs: Sequence[Node], stored: set[Node], reads: set[Node], budget: int) 
     return None if len(new) > len(xs) else cone
 
 
-def _ordered(nodes: Iterable[Node]) -> list[Node]:
-    """These nodes, inputs first."""
+def _ordered(nodes: Iterable[Node], at: Mapping[Node, int]) -> list[Node]:
+    """These nodes, inputs first, in an order that follows from the graph alone (`at`: where each stands in it)."""
     members = set(nodes)
-    return topological(sorted(members, key=lambda n: n.serial), members)
+    return topological(sorted(members, key=at.__getitem__), members)
 
 
 def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
     """Substages in running order. Raises PackError where one function alone breaks a limit."""
     root_set = {r for r in roots if not is_leaf(r)}
     order = [n for n in topological(roots) if not is_inline(n)]
+    at = {n: k for k, n in enumerate(order)}
     level = _levels(order, root_set)
     groups = _groups(order, level)
     stored = {n for n in order if is_leaf(n) or n in root_set or n.op.stage == "raster"}
@@ -131,7 +132,7 @@ def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
                     reads.add(x)
                 else:
                     extra += cone
-        members.append(_ordered([*group, *extra]) if extra else group)
+        members.append(_ordered([*group, *extra], at) if extra else group)
     read_elsewhere = set(root_set)
     for nodes in members:
         inside = set(nodes)
