@@ -13,11 +13,12 @@ from dressi_edge.commands import run as run_module
 from dressi_edge.compiler.graph.functions import constant_table
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.io.cameras import inverse_rigid, look_at, orbit, rotation_matrix, rotation_vector
-from dressi_edge.compiler.io.frame import origin_of, recentred
-from dressi_edge.compiler.io.meshes import Mesh
+from dressi_edge.compiler.io.frame import recentred
+from dressi_edge.compiler.io.mesh import Mesh, origin_of
+from dressi_edge.compiler.io.meshes import load_mesh
 from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.io.views import Views
-from dressi_edge.compiler.io.writers import save_png
+from dressi_edge.compiler.io.writers import save_mesh, save_png
 from dressi_edge.compiler.render.camera import fixed_views, posed_views
 from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.optimizer import Adam
@@ -125,6 +126,15 @@ def test_a_job_in_map_coordinates(tmp_path):
     assert done.returncode == 0, done.stderr
     found = np.load(tmp_path / "out.npz")["vertices"]
     assert np.linalg.norm(found[:, None] - mesh.positions[None], axis=2).min(axis=0).max() < 2e-5
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb", ".gltf"])
+def test_meshes_in_map_coordinates_are_written_in_all_their_digits(tmp_path, suffix):
+    ball = icosphere(2, 0.5)
+    mesh = Mesh(ball.positions + UTM, ball.faces, colors=np.full((len(ball.positions), 3), 0.5))
+    save_mesh(tmp_path / f"far{suffix}", mesh)
+    found = load_mesh(tmp_path / f"far{suffix}")
+    assert np.abs(found.positions - mesh.positions).max() < 1e-6 and np.array_equal(found.faces, mesh.faces)
 
 
 # The pivot of poses

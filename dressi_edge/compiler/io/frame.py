@@ -12,21 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .cameras import Camera
-from .mesh import Mesh
+from .mesh import Mesh, origin_of
 from .views import Views
 
 if TYPE_CHECKING:
     from ..render.light import Light
-
-FAR = 64.0  # radii from the origin from which a mesh is moved: fp32 is then 4e-6 of the radius
-
-
-def origin_of(positions: np.ndarray) -> np.ndarray:
-    """(3,) float64: the middle of the bounding box of positions (n, 3) that are far from the origin for their extent, else zero."""
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    middle, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
-    return middle if radius > 0.0 and np.abs(middle).max() > FAR * radius else np.zeros(3)
-
 
 def recentred(mesh: Mesh, views: Views | Sequence[Camera], lights: Sequence[Light]
               ) -> tuple[Mesh, Views | Sequence[Camera], Sequence[Light], np.ndarray]:

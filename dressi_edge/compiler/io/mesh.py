@@ -16,6 +16,7 @@ from .images import srgb_to_linear
 
 WRAPS = ("repeat", "clamp")
 NORMALS = ("smooth", "flat", "file")
+FAR = 64.0  # radii from the origin from which a mesh is moved: fp32 is then 4e-6 of the radius
 _INDEX = ("faces", "uv_faces", "color_faces", "normal_faces", "vertex_map")
 _FLOAT = ("positions", "uvs", "colors", "texture", "normals")
 
@@ -172,3 +173,10 @@ def corner_normals(mesh: Mesh, kind: str) -> np.ndarray:
     np.add.at(weighted, mesh.faces.reshape(-1), np.repeat(np.cross(b - a, c - a), 3, axis=0))
     length = np.linalg.norm(weighted, axis=1, keepdims=True)
     return np.where(length > 0.0, weighted / np.maximum(length, 1e-300), (0.0, 0.0, 1.0))[mesh.faces]
+
+
+def origin_of(positions: np.ndarray) -> np.ndarray:
+    """(3,) float64: the middle of the bounding box of positions (n, 3) that are far from the origin for their extent, else zero."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    middle, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+    return middle if radius > 0.0 and np.abs(middle).max() > FAR * radius else np.zeros(3)

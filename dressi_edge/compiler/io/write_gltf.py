@@ -14,7 +14,7 @@ import numpy as np
 
 from .images import png_bytes, srgb_to_linear
 from .materials import Part, TextureMap
-from .mesh import Mesh, corner_normals, unique_rows
+from .mesh import Mesh, corner_normals, origin_of, unique_rows
 
 WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 TYPES = {"<f4": 5126, "<u2": 5123, "<u4": 5125}
@@ -46,9 +46,11 @@ def split(mesh: Mesh, corners: Sequence[np.ndarray]) -> tuple[np.ndarray, np.nda
 
 
 class _Writer:
-    """The growing document and its one buffer."""
+    """The growing document and its one buffer. origin: (3,) what positions are about; glTF has them in fp32, but nodes, which bring them
+    back, in as many digits as one writes."""
 
-    def __init__(self):
+    def __init__(self, origin: np.ndarray):
+        self.origin = origin
         self.json: dict = {"asset": {"version": "2.0", "generator": "dressi_edge"}, "scene": 0, "scenes": [{"nodes": []}]}
         self.buffer, self.extensions = bytearray(), set()
         self.textures: dict[tuple, int] = {}
@@ -130,7 +132,7 @@ class _Writer:
         keys += [mesh.color_faces] if mesh.color_faces is not None else []
         keys += [mesh.normal_faces] if mesh.normals is not None else []
         vertex, faces, chosen = split(mesh, keys)
-        positions = mesh.positions[vertex].astype(np.float32)
+        positions = (mesh.positions[vertex] - self.origin).astype(np.float32)
         span = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
         attributes = {"POSITION": self.accessor(positions, "<f4", 34962, **span)}
         if mesh.normals is not None:
@@ -150,8 +152,10 @@ class _Writer:
         kind = "<u2" if len(vertex) < 65535 else "<u4"  # the largest value of a type restarts strips
         index = self.accessor(faces.reshape(-1), kind, 34963)
         primitive = {"attributes": attributes, "indices": index, "material": self.material(part, sets)}
-        self.json["scenes"][0]["nodes"].append(self.add("nodes", {
-            "name": part.name, "mesh": self.add("meshes", {"name": part.name, "primitives": [primitive]})}))
+        node = {"name": part.name, "mesh": self.add("meshes", {"name": part.name, "primitives": [primitive]})}
+        if self.origin.any():
+            node["translation"] = self.origin.tolist()
+        self.json["scenes"][0]["nodes"].append(self.add("nodes", node))
 
 
 def _with_alpha(texels: np.ndarray, base: TextureMap) -> np.ndarray:
@@ -162,7 +166,7 @@ def _with_alpha(texels: np.ndarray, base: TextureMap) -> np.ndarray:
 
 def encode_gltf(parts: Sequence[Part], binary: bool) -> bytes:
     """A .glb, or a .gltf whose buffer is a data URI."""
-    writer = _Writer()
+    writer = _Writer(origin_of(np.concatenate([part.mesh.positions for part in parts])))
     for part in parts:
         writer.part(part)
     document, data = writer.json, bytes(writer.buffer) + b"\0" * (-len(writer.buffer) % 4)

@@ -10,6 +10,7 @@ import numpy as np
 
 from .images import linear_to_srgb, png_bytes
 from .materials import Part
+from .mesh import origin_of
 from .write_gltf import split
 
 
@@ -36,7 +37,8 @@ def encode_obj(parts: Sequence[Part], stem: str) -> dict[str, bytes]:
                 colors = np.ones((len(vertex), 3))
                 colors[faces.reshape(-1)] = mesh.colors[mesh.color_faces.reshape(-1)]
             rows = np.concatenate([rows, colors], axis=1)
-        lines += ["v " + " ".join(f"{x:.9g}" for x in row) for row in rows.tolist()]
+        digits = 15 if origin_of(mesh.positions).any() else 9  # of fp64 or fp32
+        lines += ["v " + " ".join(f"{x:.{digits}g}" for x in row) for row in rows.tolist()]
         columns = [faces + 1 + starts[0]]
         form = "{}"
         if mesh.uvs is not None:

@@ -7,17 +7,20 @@ import numpy as np
 
 from .images import linear_to_srgb, srgb_to_linear
 from .materials import Part
+from .mesh import origin_of
 from .write_gltf import split
 
 
 def encode_ply(parts: Sequence[Part]) -> bytes:
     """All parts as one mesh; colours (of 8 bits, sRGB) where a part has or states one, white for the others."""
     colored = any(part.mesh.colors is not None or part.material.stated for part in parts)
+    wide = origin_of(np.concatenate([part.mesh.positions for part in parts])).any()  # far from the origin fp32 has too few digits
+    number = ("<f8", "double") if wide else ("<f4", "float")
     vertices, faces, start = [], [], 0
     for part in parts:
         mesh = part.mesh
         vertex, index, _ = split(mesh, [mesh.color_faces] if mesh.color_faces is not None else [])
-        rows = np.zeros(len(vertex), np.dtype([("p", "<f4", 3)] + ([("c", "u1", 3)] if colored else [])))
+        rows = np.zeros(len(vertex), np.dtype([("p", number[0], 3)] + ([("c", "u1", 3)] if colored else [])))
         rows["p"] = mesh.positions[vertex]
         if colored:
             colors = np.ones((len(vertex), 3))
@@ -32,6 +35,6 @@ def encode_ply(parts: Sequence[Part]) -> bytes:
         faces.append(triangles.tobytes())
         start += len(vertex)
     header = ["ply", "format binary_little_endian 1.0", "comment made by dressi_edge", f"element vertex {start}",
-              *(f"property float {axis}" for axis in "xyz"), *(f"property uchar {c}" for c in ("red", "green", "blue") if colored),
+              *(f"property {number[1]} {axis}" for axis in "xyz"), *(f"property uchar {c}" for c in ("red", "green", "blue") if colored),
               f"element face {sum(len(data) // 13 for data in faces)}", "property list uchar int vertex_indices", "end_header"]
     return ("\n".join(header) + "\n").encode() + b"".join(vertices) + b"".join(faces)
