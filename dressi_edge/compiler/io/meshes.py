@@ -117,7 +117,7 @@ def _joined(path: Path, pieces: Pieces, given: bool) -> Mesh:
                     Surface(None, None, (1.0, 1.0, 1.0), _stated_colors(part), len(part.faces)) for part, drawn in zip(parts, textured)]
         mesh = replace(mesh, **baked(surfaces))
         if multiplied := [part.name for part, drawn in zip(parts, textured) if drawn and part.colors is not None
-                          and (part.colors[0][part.colors[1]] < 1.0).any()]:
+                          and (part.colors[0][part.colors[1]] < 1.0 - 1e-6).any()]:
             note(f"{path}: {listed(multiplied)}: colours of vertices, which multiply the texture, are left out")
     else:
         stated = [_stated_colors(part) for part in parts]

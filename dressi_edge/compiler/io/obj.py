@@ -80,7 +80,7 @@ class _Text:
                     raise InputError(f"{self.path} line {number}: face corner {word!r:.40} is no v/vt/vn index")
                 if index < 0:
                     index += counts[k] + 1
-                if index <= 0 and part:
+                if index <= 0 and part or index > 1 << 40:
                     self._beyond(number, "v vt vn".split()[k], part, counts[k])
                 corner.append(index)
             self.indices.append((corner + [0, 0])[:3] if len(corner) < 3 else corner)
@@ -93,10 +93,7 @@ class _Text:
 
     def checked_indices(self) -> np.ndarray:
         """(C, 3) indices from 0, -1 for none. Raises InputError that names the line of the first which points past the end."""
-        try:
-            found = np.array(self.indices, np.int64).reshape(-1, 3) - 1
-        except OverflowError:
-            found = np.array([[min(i, 1 << 62) for i in row] for row in self.indices], np.int64) - 1
+        found = np.array(self.indices, np.int64).reshape(-1, 3) - 1
         counts = [len(self.rows[kind]) for kind in ("v", "vt", "vn")]
         if (bad := found >= counts).any():
             corner, k = np.argwhere(bad)[0]

@@ -15,7 +15,7 @@ from .polygons import triangulated
 def read_stl(path: Path, data: bytes) -> Pieces:
     """The one piece of an STL file: three vertices a face. Binary where the size fits its count, whatever the header begins with."""
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= 84 else 0
-    text = data.lstrip()[:5].lower() == b"solid"
+    text = data[:256].removeprefix(b"\xef\xbb\xbf").lstrip()[:5].lower() == b"solid"
     if len(data) >= 84 and (84 + 50 * count == len(data) or not text and 84 + 50 * count <= len(data)):
         rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]), count, 84)
         if rows["more"].any():

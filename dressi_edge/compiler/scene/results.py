@@ -58,9 +58,10 @@ def record(problem) -> dict:
                  "points": ["vertices", *(f"light{k}.vector" for k, light in enumerate(problem.lights) if light.kind == "point")]}
     if mesh.uvs is not None:
         meta |= {"uvs": _pack(mesh.uvs, "<f8"), "uv_faces": _pack(mesh.uv_faces, "<i4")}
-    for name, array in (("color_faces", mesh.color_faces), ("vertex_map", mesh.vertex_map)):
-        if array is not None:
-            meta[name] = _pack(array, "<i4")
+    given = {"color_faces": mesh.color_faces, "vertex_map": mesh.vertex_map}
+    if problem.normals == "file":  # then nothing moves vertices, and they stay right
+        given |= {"normals": mesh.normals, "normal_faces": mesh.normal_faces}
+    meta |= {name: _pack(array, "<f8" if name == "normals" else "<i4") for name, array in given.items() if array is not None}
     return meta
 
 
@@ -108,8 +109,9 @@ def mesh_of(session) -> Mesh:
     texture = encoded(session.get("texture")) if _has(session, "texture") and uvs is not None else None
     colors = encoded(session.get("colors")) if _has(session, "colors") else None
     color_faces, vertex_map = (_unpack(meta, name, "<i4", columns) for name, columns in (("color_faces", 3), ("vertex_map", 1)))
+    normals, normal_faces = _unpack(meta, "normals", "<f8", 3), _unpack(meta, "normal_faces", "<i4", 3)
     return Mesh(session.get("vertices") + _origin(session), faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces,
-                vertex_map=None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
+                normals, normal_faces, None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
 
 
 def snapshot(session) -> np.ndarray | None:
