@@ -5,6 +5,7 @@ from ..io.cameras import Camera, look_at, orbit
 from ..io.meshes import Mesh, load_mesh
 from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
+from ..render.geometry import LargeSteps, blend_shapes, linear_model, rigid, similarity, skin
 from ..render.light import Light
 from ..render.loss import (
     charbonnier,
@@ -28,14 +29,16 @@ from ..render.material import BlinnPhong, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
 from ..render.raster import HardSoftRas, Outline, Renderer, Softness
 from ..render.schedule import Schedule
+from ..render.subdivision import Subdivision, subdivide
 from ..render.surface import Surface
 from ..render.tone import encode_srgb
 from .problem import Loss, Problem
 from .scene import Scene
 
-__all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "F", "HardSoftRas", "Lambert", "Light", "Loss",
-           "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Surface",
-           "Texture", "Unlit", "Vertex", "Views", "charbonnier", "cotangent_laplacian", "depth_loss", "edge_length",
-           "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited", "load_mesh", "load_views",
-           "look_at", "mean_square", "normal_consistency", "normal_loss", "orbit", "pear", "pyramid_l1", "sphere", "ssim",
-           "ssim_loss", "state", "uniform_laplacian"]
+__all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "F", "HardSoftRas", "Lambert", "LargeSteps",
+           "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene", "Schedule", "Sgd",
+           "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier",
+           "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2",
+           "landmarks", "limited", "linear_model", "load_mesh", "load_views", "look_at", "mean_square", "normal_consistency",
+           "normal_loss", "orbit", "pear", "pyramid_l1", "rigid", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state",
+           "subdivide", "uniform_laplacian"]
