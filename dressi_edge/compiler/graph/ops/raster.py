@@ -152,12 +152,15 @@ op("rasterize_peel", "clip faces entries count previous", attrs=DRAWN + " radius
    ref=reference.rasterize_peel, cost=1000,
    doc="The layer behind `previous` (depth peeling).")
 
+# In the plane of the camera, where w is 0, a corner is behind the near plane; SwiftShader leaves out all of such a face.
+_OFF_ZERO = "if (gl_Position.w == 0.0) gl_Position.w = {near} * 1e-6;\n"
+
 # Which face is in front, without fragment work; for outline distance also the nearest fold edge of each pixel, whatever is in front.
 _HARD = """
 int view = gl_InstanceIndex;
 gl_Position = {clip_at}(view * {vertices} + {corners_at}(gl_VertexIndex));
 gl_Position.z *= 0.5;  // the far plane clips nothing: z < 2 w everywhere, unless far < 2 near
-code = view * {face_count} + gl_VertexIndex / 3;
+""" + _OFF_ZERO + """code = view * {face_count} + gl_VertexIndex / 3;
 """
 op("rasterize_hard", "clip corners", attrs=DRAWN, infer=_code(1), reads="vertex vertex", stage="raster", cost=200,
    ref=reference.rasterize_hard, draws=(Draw(_HARD, "{y} = code;\n", (("int", "code"),), vertices=(3, "face_count")),),
@@ -172,7 +175,7 @@ ivec4 t = {faces_at}(gl_VertexIndex / 3);
 vec4 c0 = {clip_at}(first + t.x), c1 = {clip_at}(first + t.y), c2 = {clip_at}(first + t.z);
 gl_Position = corner == 0 ? c0 : corner == 1 ? c1 : c2;
 gl_Position.z *= 1.0 / 1024.0;  // the far plane clips nothing, whatever far is
-vec2 scale = vec2(0.5 * float({cell_w}), 0.5 * float({cell_h}));
+""" + _OFF_ZERO + """vec2 scale = vec2(0.5 * float({cell_w}), 0.5 * float({cell_h}));
 vec2 p = c0.xy / c0.w * scale, a = c1.xy / c1.w * scale - p, b = c2.xy / c2.w * scale - p;
 vec2 size = abs(a) + abs(b), far = abs(p) + size;
 float off = {snap} + 4e-7 * (max(float({w}), float({h})) + max(far.x, far.y));  // of a corner, either way
