@@ -13,6 +13,7 @@ from dressi_edge.compiler.io.images import srgb_to_linear
 from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.io.writers import save_mesh, save_png
 from dressi_edge.compiler.scene.job import load_job
+from dressi_edge.compiler.scene.sections import softness_of
 
 
 def replaced(old, new):
@@ -64,8 +65,7 @@ def test_the_albedo_is_what_a_phase_optimizes(tmp_path, change, expected):
 
 
 def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path):
-    from dressi_edge.compiler.scene import job
-    assert job._softness({"r": None, "r_fraction": 0.25}, 24).r == 6.0
+    assert softness_of({"r": None, "r_fraction": 0.25}, 24).r == 6.0
     assert load_job(write_job(tmp_path, replaced("r = 2.0", "r_fraction = 0.1"))).phases
     assert load_job(write_job(tmp_path, replaced("delta = 0.0", "r_fraction = 0.1"))).phases
 
@@ -200,7 +200,8 @@ def test_the_examples_lack_nothing_but_their_files(tmp_path, path):
 
 def test_the_page_names_every_key_and_its_job_is_right(tmp_path):
     page = (ROOT / "docs" / "job.md").read_text()
-    source = (ROOT / "dressi_edge" / "compiler" / "scene" / "job.py").read_text()
+    folder = ROOT / "dressi_edge" / "compiler" / "scene"
+    source = "".join((folder / name).read_text() for name in ("job.py", "job_scene.py", "sections.py"))
     keys = {key for group in re.findall(r"(?:Table|table|tables)\((.*?)\)\)", source, re.S)
             for key in re.findall(r'"([a-z_]+)"', group)}
     assert len(keys) > 25 and [key for key in sorted(keys) if not re.search(rf"\b{key}\b", page)] == []

@@ -89,9 +89,8 @@ def _open(args):
             raise InputError("--pin: a job has no digest; give a bundle, or leave --pin away")
         from ..compiler.graph.reference_session import ReferenceSession
         from ..compiler.scene.job import load_job
-        from ..compiler.scene.results import record
         problem = load_job(args.bundle)
-        problem.program.meta.update(record(problem))
+        problem.program.meta.update(problem.record())
         return ReferenceSession(problem.program)
     if args.bundle.endswith(".toml"):
         raise InputError(f"{args.bundle} is a job; make a bundle of it first: "
@@ -132,7 +131,7 @@ def run(args) -> int:
             _check_names(_states(session))
         before = None
         if results:
-            results.mesh_of(session)  # fails now rather than after the work
+            results.check(session)  # fails now rather than after the work
             before = results.snapshot(session)
         curves, phases = {}, {}
         for name, steps in todo:

@@ -194,10 +194,14 @@ class Problem:
         else:
             self.scene.output(name, silhouette=frame.alpha)
 
+    def record(self) -> dict:
+        """The meta of the bundle: what results are written of (`results.py`)."""
+        from .results import record
+        return record(self)
+
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
         """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`."""
         from .. import compile_program
-        from .results import record
         if not self.program.plans:
             raise InputError("the problem has no phase and renders nothing; add one with phase() or render()")
         given = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
@@ -205,5 +209,5 @@ class Problem:
         fits(self, profiles)
         if not self.judged:
             sense.check(self.mesh, self.views)
-        self.program.meta.update(record(self))
+        self.program.meta.update(self.record())
         return compile_program(self.program, profiles, path, **options)

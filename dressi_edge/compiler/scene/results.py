@@ -16,29 +16,15 @@ from ..io.cameras import inverse_rigid, rotation_matrix
 from ..io.images import linear_to_srgb
 from ..io.mesh import Mesh
 from ..io.views import Views
-from ..io.writers import MESH_SUFFIXES, contact_sheet, loss_curve, save_json, save_mesh
+from ..io.writers import MESH_SUFFIXES, contact_sheet, loss_curve, save_json, save_mesh, save_parts
+from .pieces import pack, parts_of, unpack
 
 SHOWN = 8  # views in a contact sheet
 
 
-def _pack(array: np.ndarray, kind: str) -> dict:
-    return {"type": kind, "shape": list(array.shape), "data": np.asarray(array, kind).tobytes()}
-
-
 def _unpack(meta: Mapping, name: str, kind: str, columns: int) -> np.ndarray | None:
     """The (n, columns) array of that name in a bundle's meta, or None. Raises BundleError."""
-    entry = meta.get(name)
-    if entry is None:
-        return None
-    try:
-        if entry["type"] != kind:
-            raise ValueError(f"type {entry['type']!r:.20}, not {kind}")
-        array = np.frombuffer(entry["data"], kind).reshape(-1, columns)
-        if list(array.shape if columns > 1 else array.shape[:1]) != entry["shape"]:
-            raise ValueError(f"shape {entry['shape']!r:.40}, not {list(array.shape)}")
-        return array
-    except (KeyError, TypeError, ValueError) as error:
-        raise BundleError(f"meta.{name} is malformed ({error}); compile the bundle again") from None
+    return None if meta.get(name) is None else unpack(meta[name], name, kind, columns)
 
 
 def record(problem) -> dict:
@@ -46,7 +32,7 @@ def record(problem) -> dict:
     mesh, cameras = problem.mesh, problem.cameras
     names = problem.views.names if isinstance(problem.views, Views) else tuple(f"view {k}" for k in range(len(cameras)))
     meta = {"linear_albedo": problem.srgb, "linear_images": False, **problem.program.meta}  # linear: not sRGB encoded
-    meta |= {"faces": _pack(mesh.faces, "<i4"), "albedo": problem.albedo,
+    meta |= {"faces": pack(mesh.faces, "<i4"), "albedo": problem.albedo,
              "albedo_color": [float(x) for x in problem.albedo_color],
              "phases": [[spec.name, spec.steps] for spec in problem.program.plans if spec.name in problem.phases],
              "images": list(names), "image_size": [problem.width, problem.height],
@@ -57,11 +43,11 @@ def record(problem) -> dict:
         meta |= {"origin": problem.origin.tolist(),
                  "points": ["vertices", *(f"light{k}.vector" for k, light in enumerate(problem.lights) if light.kind == "point")]}
     if mesh.uvs is not None:
-        meta |= {"uvs": _pack(mesh.uvs, "<f8"), "uv_faces": _pack(mesh.uv_faces, "<i4")}
+        meta |= {"uvs": pack(mesh.uvs, "<f8"), "uv_faces": pack(mesh.uv_faces, "<i4")}
     given = {"color_faces": mesh.color_faces, "vertex_map": mesh.vertex_map}
     if problem.normals == "file":  # then nothing moves vertices, and they stay right
         given |= {"normals": mesh.normals, "normal_faces": mesh.normal_faces}
-    meta |= {name: _pack(array, "<f8" if name == "normals" else "<i4") for name, array in given.items() if array is not None}
+    meta |= {name: pack(array, "<f8" if name == "normals" else "<i4") for name, array in given.items() if array is not None}
     return meta
 
 
@@ -152,6 +138,22 @@ def measure(drawn: np.ndarray, wanted: np.ndarray) -> dict:
     return out | ({"psnr_mean": float(np.mean(psnr)), "psnr_min": float(np.min(psnr))} if psnr else {})
 
 
+def check(session) -> None:
+    """Raises BundleError where the bundle carries nothing to write a mesh file of."""
+    if "parts" in meta_of(session):
+        parts_of(session)
+    else:
+        mesh_of(session)
+
+
+def save_result(session, path: str | Path) -> None:
+    """Writes what is on the device now as a mesh file: one surface, or the parts of a scene with their materials."""
+    if "parts" in meta_of(session):
+        save_parts(path, parts_of(session))
+    else:
+        save_mesh(path, mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
+
+
 def check_output(session, out: str | Path) -> Path:
     """The path, if a run of this session can write it; to be asked before the run. Raises InputError."""
     out = Path(out)
@@ -159,7 +161,7 @@ def check_output(session, out: str | Path) -> Path:
         raise InputError(f"output {out}: extension {out.suffix or 'none'} is unknown; known are {' '.join(MESH_SUFFIXES)}")
     if not out.parent.is_dir():
         raise InputError(f"output {out}: directory {out.parent} does not exist; create it first")
-    mesh_of(session)
+    check(session)
     return out
 
 
@@ -173,7 +175,7 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
     files = {"mesh": out, "sheet": out.with_name(f"{out.stem}_sheet.png"), "loss": out.with_name(f"{out.stem}_loss.png"),
              "metrics": out.with_name(f"{out.stem}_metrics.json")}
     metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
-    save_mesh(files["mesh"], mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
+    save_result(session, files["mesh"])
     after, wanted = snapshot(session), targets(session)
     rows = [(label, images[:SHOWN]) for label, images in
             (("before", before), ("after", after), ("target", wanted), *extra_rows) if images is not None]
@@ -197,7 +199,7 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
 
 
 def _found(session) -> dict:
-    """Cameras and lights, where they were optimized."""
+    """Cameras, lights and single values of parts, where they were optimized."""
     d = session.bundle.description
     changed = {d["values"][k]["name"] for plan in d["plans"] for k in plan["updates"]}
     out: dict = {}
@@ -205,8 +207,14 @@ def _found(session) -> dict:
               if name.startswith("light") and name.count(".") == 1}
     if lights:
         out["lights"] = lights
-    if changed & {"rotation", "translation"}:
-        rotation, translation = (np.asarray(session.get(name), np.float64) for name in ("rotation", "translation"))
+    values = {name: np.asarray(session.get(name)).tolist() for name in sorted(changed)
+              if not name.startswith(("light", "camera.")) and name.count(".") == 1 and session.values[name]["layout"] == "unit"
+              and name.partition(".")[0] in {entry.get("name") for entry in meta_of(session).get("parts", ())}}
+    if values:
+        out["parameters"] = values
+    poses = ("camera.rotation", "camera.translation") if "parts" in meta_of(session) else ("rotation", "translation")
+    if changed & {*poses}:
+        rotation, translation = (np.asarray(session.get(name), np.float64) for name in poses)
         poses, pivot = [], _pivot(session)
         for row, turn, shift in zip(meta_of(session)["cameras"], rotation, translation):
             base, pose = np.array(row[:12], np.float64).reshape(3, 4), np.eye(4)

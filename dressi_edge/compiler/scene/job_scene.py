@@ -1,0 +1,350 @@
+"""Jobs of several parts: [[part]] tables in, a `Scene` out. docs/job.md lists the keys.
+
+A part's parameters are named after it: `<part>.vertices`, `.rotation`, `.translation`, `.scale`, `.texture`, `.colors`, `.color`,
+`.specular`, `.gloss`; those of cameras `camera.rotation` and `camera.translation`; lights as ever. What no phase optimizes is a constant,
+but for textures, colours and lights.
+"""
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ...cache.profile import Profile
+from ..graph.functions import compose, constant_table, dot
+from ..graph.ir import Node
+from ..graph.optable import as_node
+from ..graph.program import Program
+from ..io.images import srgb_to_linear
+from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
+from ..render import loss as losses
+from ..render.camera import rotation_rows
+from ..render.frame import Frame
+from ..render.light import Light
+from ..render.material import BlinnPhong, Lambert, Texture, Unlit, Vertex
+from ..render.optimizer import Optimizer
+from ..render.part import Part
+from ..render.raster import Softness, renderer_of
+from ..render.schedule import Schedule
+from ..render.tone import encode_srgb
+from . import sense
+from .limits import fits_views
+from .pieces import record
+from .scene import ORDERS, Scene
+from .sections import MESH, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .tables import Table
+
+SHARP = Softness(1.0, delta=0.0)  # of the plan "render": about as soft as a pixel's own area
+MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss")}
+COLORS = ("texture", "colors")
+POSES = ("rotation", "translation", "scale")
+NORMS = {"l1": losses.l1, "l2": losses.l2, "huber": losses.huber, "ssim": losses.ssim_loss, "pyramid": losses.pyramid_l1}
+OF_IMAGES = ("silhouette", "color")
+OF_MESHES = {"laplacian": losses.uniform_laplacian, "cotangent_laplacian": losses.cotangent_laplacian,
+             "normal_consistency": lambda p, t, power: losses.normal_consistency(p, t),
+             "edge_length": lambda p, t, power: losses.edge_length(p, t)}
+LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "specular": (0.0, None), "gloss": (1.0, None),
+          "scale": (1e-3, None)}
+
+
+@dataclass(frozen=True, eq=False)
+class SceneJob:
+    """The scene of a job, its pictures' names, and the point that cameras turn about."""
+
+    scene: Scene
+    images: tuple[str, ...]
+    pivot: tuple[float, float, float]
+
+    @property
+    def program(self) -> Program:
+        return self.scene.program
+
+    @property
+    def phases(self) -> list[str]:
+        return self.scene.phases
+
+    def record(self) -> dict:
+        """The meta of the bundle."""
+        return {**record(self.scene, self.images), "pivot": list(self.pivot)}
+
+    def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
+        """Write the bundle; see `compiler.compile_program`."""
+        self.program.meta.update(self.record())
+        return self.scene.compile(profile, path, **options)
+
+
+@dataclass(frozen=True)
+class _PartTable:
+    """[[part]], read."""
+
+    table: Table
+    name: str
+    load: Callable[[], Mesh]
+    normals: str | None
+    kind: str
+    settings: dict
+    texture_size: tuple[int, int]
+    wrap: str | None
+    pose: dict
+
+
+@dataclass(frozen=True)
+class _Term:
+    table: Table
+    kind: str
+    weight: Schedule
+    norm: str
+    masked: bool
+    power: int
+    part: str | None
+    parameter: str | None
+
+
+@dataclass(frozen=True)
+class _PhaseTable:
+    table: Table
+    name: str
+    steps: int
+    optimize: dict[str, Optimizer]
+    terms: list[_Term]
+    soft: dict
+
+
+def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) -> SceneJob:
+    """The scene of a parsed job. Raises InputError, naming the file and the key."""
+    job = Table(document, "", ("part", "views", "render", "light", "phase"), str(path))
+    parts = [_part(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
+    if not parts:
+        raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
+    if twice := [p.name for k, p in enumerate(parts) if p.name in [q.name for q in parts[:k]]]:
+        raise InputError(f"{path}: two parts are called {twice[0]!r}; give each part a name of its own")
+    views_table, make_views = views_of(job, path.parent, fits_views(profiles))
+    order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
+    linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
+    render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background"), job.source)
+    srgb, background, common = render.flag("srgb", False), render.numbers("background", 3, (0.0,) * 3, 0, 1), soft(render)
+    if srgb and linear:
+        raise render.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")
+    lights = [light_of(x) for x in job.tables("light", ("kind", "power", "vector"))]
+    if lights and all(p.kind == "unlit" for p in parts):
+        raise InputError(f"{path}: light[0] is given, but no part's material has a use for it; make one lambert, or drop it")
+    phases = [_phase(t, [p.name for p in parts]) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
+    if not phases:
+        raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
+    optimized = {key for phase in phases for key in phase.optimize}
+
+    meshes, views = [p.load() for p in parts], make_views()
+    views_table.checked(sense.check, _together(meshes), views, any(t.kind == "silhouette" for phase in phases for t in phase.terms))
+    if linear:
+        views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
+    scene = Scene(views.cameras, background, encode_srgb if srgb else None)
+    scene.program.meta.update(linear_albedo=linear or srgb, linear_images=linear)
+    builder = _Builder(scene, optimized, lights, linear or srgb)
+    for p, mesh in zip(parts, meshes):
+        p.table.checked(builder.part, p, mesh)
+    middle = builder.cameras(meshes)
+    for phase in phases:
+        for key in phase.optimize:
+            if key not in scene.parameters:
+                raise phase.table.conflict(f"optimize.{key} is no parameter of this job; there are: {' '.join(_known(scene, parts))}")
+    targets = scene.program.input("targets", scene.pictures_layout("vec4"), views.images, narrow=True)
+    side = max(scene.width, scene.height)
+    for phase in phases:
+        softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
+        phase.table.checked(_add_phase, scene, phase, softness, order, seed, targets, background)
+    seen = scene.frame(renderer_of(SHARP))
+    scene.output("render", color=compose(seen.color, seen.alpha))
+    return SceneJob(scene, views.names, middle)
+
+
+def _together(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one."""
+    first = np.cumsum([0, *(len(m.positions) for m in meshes)])
+    return Mesh(np.concatenate([m.positions for m in meshes]), np.concatenate([m.faces + k for m, k in zip(meshes, first)]))
+
+
+def _known(scene: Scene, parts: Sequence[_PartTable]) -> list[str]:
+    """The names of all that may be optimized."""
+    of_parts = [f"{p.name}.{key}" for p in parts for key in ("vertices", *POSES, *(k for k in MATERIALS[p.kind] if k != "color"))]
+    return sorted({*scene.parameters, *of_parts, "camera.rotation", "camera.translation"})
+
+
+def _part(t: Table, folder: Path) -> _PartTable:
+    name = t.word("name")
+    if not name.replace("_", "").isalnum():
+        raise t.wrong("name", name, "letters, digits and _ are allowed")
+    material = t.table("material", ("kind", "color", "texture_size", "wrap", "specular", "gloss")) if t.has("material") else \
+        Table({}, f"{t.where}.material", (), t.source)
+    kind = material.word("kind", "unlit", tuple(MATERIALS))
+    if wrong := [key for key in material.has("specular", "gloss") if key not in MATERIALS[kind]]:
+        raise material.conflict(f"{wrong[0]} is no setting of {kind}; drop it")
+    color = material.get("color", None)
+    if isinstance(color, list):
+        color = material.numbers("color", 3, low=0, high=1)
+    elif color is not None:
+        color = material.word("color", allowed=COLORS)
+    settings = {"color": color}
+    if kind == "blinn_phong":
+        settings |= {"specular": material.number("specular", 0.3, 0), "gloss": material.number("gloss", 20.0, 1.0)}
+    pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}
+    pose |= {"scale": t.number("scale", low=0.0, above=True)} if t.has("scale") else {}
+    return _PartTable(t, name, mesh_of(t, folder), t.word("normals", None, NORMALS), kind, settings,
+                      material.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True), material.word("wrap", None, WRAPS), pose)
+
+
+def _flat(optimize: dict) -> dict:
+    """Parameters by their whole names: optimize.pear.vertices is the same as optimize."pear.vertices"."""
+    flat = {}
+    for key, value in optimize.items():
+        inner = isinstance(value, dict) and value and all(isinstance(x, dict) and k != "rate" for k, x in value.items())
+        flat |= {f"{key}.{k}": x for k, x in value.items()} if inner else {key: value}
+    return flat
+
+
+def _phase(t: Table, parts: Sequence[str]) -> _PhaseTable:
+    name, steps = t.word("name"), t.number("steps", low=1, high=10 ** 8, whole=True)
+    optimize = t.get("optimize")
+    if not isinstance(optimize, dict) or not optimize:
+        raise t.wrong("optimize", optimize, "a table of parameters such as part.vertices = {optimizer = \"adam\", rate = 0.01} is needed")
+    optimize = _flat(optimize)
+    inner = Table(optimize, f"{t.where}.optimize", optimize, t.source)
+    terms = [_term(x, steps, parts) for x in t.tables("loss", ("kind", "weight", "norm", "masked", "power", "part", "parameter"))]
+    if not terms:
+        raise InputError(f"{t.source}: {t.where}.loss is missing; at least one [[phase.loss]] is needed")
+    return _PhaseTable(t, name, steps, {key: optimizer_of(inner, key, steps) for key in optimize}, terms, soft(t))
+
+
+def _term(t: Table, steps: int, parts: Sequence[str]) -> _Term:
+    kind = t.word("kind", allowed=(*OF_IMAGES, *OF_MESHES, "magnitude"))
+    allowed = ("norm", "masked") if kind in OF_IMAGES else ("parameter",) if kind == "magnitude" else ("power", "part")
+    if wrong := [key for key in t.has("norm", "masked", "power", "part", "parameter") if key not in allowed]:
+        raise t.conflict(f"{wrong[0]} is no setting of loss {kind}; drop it")
+    part = t.word("part", None, tuple(parts))
+    if kind in OF_MESHES and part is None:
+        if len(parts) > 1:
+            raise t.conflict(f"part is missing; loss {kind} is of one part: {' '.join(parts)}")
+        part = parts[0]
+    parameter = t.word("parameter") if kind == "magnitude" else None
+    return _Term(t, kind, schedule_of(t, "weight", steps, 1.0), t.word("norm", "l2", tuple(NORMS)), t.flag("masked", False),
+                 t.number("power", 1, 1, 2, whole=True), part, parameter)
+
+
+@dataclass(frozen=True)
+class _Builder:
+    """Adds parts to a scene. decode: whether meshes' colours are decoded, for the scene is lit or compared in linear light."""
+
+    scene: Scene
+    optimized: set[str]
+    lights: Sequence[Light]
+    decode: bool
+
+    def part(self, p: _PartTable, mesh: Mesh) -> Part:
+        if self.decode:
+            mesh = linear_mesh(mesh)
+        positions, moved = self._positions(p, mesh)
+        settings = {"color": self._color(p, mesh)}
+        settings |= {key: self._setting(f"{p.name}.{key}", x) for key, x in p.settings.items() if key != "color"}
+        if p.kind != "unlit":
+            settings["lights"] = self._lights(p)
+        make = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong}[p.kind]
+        normals = p.normals or ("smooth" if moved or mesh.normals is None else "file")
+        if moved and normals == "file":
+            raise InputError("normals are \"file\", which do not turn with a part that moves; use flat or smooth")
+        return self.scene.add(mesh, positions, make(**settings), p.name, normals)
+
+    def _setting(self, name: str, value):
+        """A number of a material, or the parameter of that name if it is optimized."""
+        if name not in self.optimized:
+            return value
+        low, high = LIMITS[name.rpartition(".")[2]]
+        return self.scene.parameter(name, value, low, high)
+
+    def _positions(self, p: _PartTable, mesh: Mesh) -> tuple[Node, bool]:
+        """Where the part's vertices are, and whether anything moves them."""
+        name, start = p.name, {"rotation": np.zeros(3), "translation": np.zeros(3), "scale": 1.0, **p.pose}
+        free = f"{name}.vertices" in self.optimized
+        x = self.scene.parameter(f"{name}.vertices", mesh.positions, kind="table") if free else constant_table(mesh.positions)
+        posed = {key for key in POSES if f"{name}.{key}" in self.optimized or key in p.pose}
+        if not posed:
+            return x, free
+        pivot = compose(*map(float, (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0))
+        value = {key: self.scene.parameter(f"{name}.{key}", start[key], *LIMITS.get(key, ())) if f"{name}.{key}" in self.optimized else
+                 as_node(start[key]) if key == "scale" else compose(*map(float, start[key])) for key in posed}
+        d = x - pivot
+        if "rotation" in value:
+            d = compose(*(dot(row, d) for row in rotation_rows(value["rotation"])))
+        if "scale" in value:
+            d = d * value["scale"]
+        return d + (pivot + value["translation"] if "translation" in value else pivot), True
+
+    def _color(self, p: _PartTable, mesh: Mesh):
+        named, color = p.name + ".", p.settings["color"]
+        if color is None:
+            color = next((key for key in COLORS if named + key in self.optimized), None)
+        if color is None and f"{named}color" not in self.optimized:
+            color = "texture" if mesh.texture is not None else "colors" if mesh.colors is not None and mesh.color_faces is None else None
+        if color == "texture":
+            if mesh.uvs is None:
+                raise InputError("material.color is \"texture\", but the mesh has no texture coordinates; use colors, or a mesh that "
+                                 "has them")
+            start = np.full((*p.texture_size[::-1], 3), 0.5) if mesh.texture is None else mesh.texture
+            return Texture(self.scene.parameter(f"{named}texture", start, *LIMITS["texture"], kind="image"), p.wrap or mesh.wrap)
+        if color == "colors":
+            start = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None or mesh.color_faces is not None else mesh.colors
+            return Vertex(self.scene.parameter(f"{named}colors", start, *LIMITS["colors"], kind="table"))
+        return self._setting(f"{named}color", color or (0.5, 0.5, 0.5))
+
+    def _lights(self, p: _PartTable) -> list[Light]:
+        """The lights, of which every part that is lit shares the parameters."""
+        if not self.lights:
+            raise InputError(f"material.kind is {p.kind!r}, but there is no [[light]]; give at least one")
+        found = []
+        for k, light in enumerate(self.lights):
+            known = {}
+            for key in ("power", "vector"):
+                if getattr(light, key) is not None:
+                    name = f"light{k}.{key}"
+                    parameter = self.scene.parameters.get(name)
+                    known[key] = self.scene.parameter(name, getattr(light, key)) if parameter is None else parameter.node
+            found.append(replace(light, **known))
+        return found
+
+    def cameras(self, meshes: Sequence[Mesh]) -> tuple[float, float, float]:
+        """Cameras that move where a phase says so, about the middle of all parts; that point."""
+        corners = np.concatenate([m.positions for m in meshes])
+        middle = tuple(map(float, (corners.min(axis=0) + corners.max(axis=0)) / 2.0))
+        if {"camera.rotation", "camera.translation"} & self.optimized:
+            zero = np.zeros((len(self.scene.cameras), 3))
+            turn, shift = (self.scene.parameter(f"camera.{key}", zero, kind="table") for key in ("rotation", "translation"))
+            self.scene.pose_cameras(turn, shift, middle)
+        return middle
+
+
+def _add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Node, background) -> None:
+    frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed)
+    target, terms = frame.at(targets), {}
+    for term in phase.terms:
+        name = next(n for n in (term.kind, *(f"{term.kind}{k}" for k in range(2, 99))) if n not in terms)
+        terms[name] = (term.weight, term.table.checked(_value, scene, term, frame, target, compose(*background)))
+    scene.phase(phase.name, phase.steps, phase.optimize, **terms)
+
+
+def _value(scene: Scene, term: _Term, frame: Frame, target: Node, background: Node) -> Node:
+    """A term, not weighted."""
+    if term.kind == "magnitude":
+        if term.parameter not in scene.parameters:
+            raise InputError(f"parameter is {term.parameter!r}; there are: {' '.join(scene.parameters)}")
+        return losses.mean_square(scene.parameters[term.parameter].node)
+    if term.part is not None:
+        part = next(p for p in scene.parts if p.name == term.part)
+        return OF_MESHES[term.kind](part.positions, part.topology, term.power)
+    norm, alpha = NORMS[term.norm], target.w
+    cell = {"cell": frame.cell} if term.norm in ("ssim", "pyramid") else {}
+    mask = {"mask": alpha} if term.masked else {}
+    if term.kind == "silhouette":
+        return norm(frame.alpha, alpha, **cell, **mask)
+    return norm(frame.color, target.xyz * alpha + background * (1.0 - alpha), **cell, **mask)

@@ -1,0 +1,135 @@
+"""What a scene's bundle must carry so that its parts can be written as files, and the parts of a session.
+
+In: a `Scene`, or a session of its bundle. Out: the bundle's meta, or `io.materials.Part`s with the numbers as they are on the device.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...cache.errors import BundleError
+from ..graph.ir import Node
+from ..io.images import linear_to_srgb, srgb_to_linear
+from ..io.materials import Material, Part
+from ..io.mesh import Mesh
+from ..render.material import Corner, Texture, Unlit, Vertex
+
+GEOMETRY = "geometry"  # the plan that gives positions which are no values of their own
+
+
+def pack(array: np.ndarray, kind: str) -> dict:
+    """An array as a bundle's meta holds it; kind: a NumPy type of stated byte order."""
+    return {"type": kind, "shape": list(array.shape), "data": np.asarray(array, kind).tobytes()}
+
+
+def unpack(entry, name: str, kind: str, columns: int) -> np.ndarray:
+    """The (n, columns) array of an entry of a bundle's meta. Raises BundleError, naming it."""
+    try:
+        if entry["type"] != kind:
+            raise ValueError(f"type {entry['type']!r:.20}, not {kind}")
+        array = np.frombuffer(entry["data"], kind).reshape(-1, columns)
+        if list(array.shape if columns > 1 else array.shape[:1]) != entry["shape"]:
+            raise ValueError(f"shape {entry['shape']!r:.40}, not {list(array.shape)}")
+        return array
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError(f"meta.{name} is malformed ({error}); compile the bundle again") from None
+
+
+def record(scene, images: Sequence[str] | None = None) -> dict:
+    """The meta of a scene: its parts with what their colours are, phases, cameras, names of its pictures. Adds the plan "geometry", whose
+    outputs are the positions that are worked out from parameters."""
+    names = {value.node: name for name, value in scene.program.values.items() if scene.program.roles[name] == "state"}
+    parts, derived = [], {}
+    for part in scene.parts:
+        found = {"name": part.name, "faces": pack(np.asarray(part.mesh.faces), "<i4"), "unlit": isinstance(part.material, Unlit),
+                 "color": _color(getattr(part.material, "color", None), names)}
+        if part.mesh.uvs is not None:
+            found |= {"uvs": pack(part.mesh.uvs, "<f8"), "uv_faces": pack(part.mesh.uv_faces, "<i4")}
+        if part.normals == "file":
+            found |= {"normals": pack(part.mesh.normals, "<f8"), "normal_faces": pack(part.mesh.normal_faces, "<i4")}
+        if part.positions in names:
+            found["positions"] = names[part.positions]
+        elif part.positions.op.name == "constant":
+            found["positions"] = pack(np.asarray(part.mesh.positions), "<f8")
+        else:
+            derived[part.name] = part.positions
+            found["positions"] = f"{GEOMETRY}.{part.name}"
+        parts.append(found)
+    if derived and not any(plan.name == GEOMETRY for plan in scene.program.plans):
+        scene.output(GEOMETRY, **derived)
+    cameras = [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far] for c in scene.cameras]
+    return {"parts": parts, "phases": [[spec.name, spec.steps] for spec in scene.program.plans if spec.name in scene.phases],
+            "images": list(images or (f"view {k}" for k in range(len(cameras)))), "image_size": [scene.width, scene.height],
+            "cameras": cameras, "linear_albedo": scene.encode is not None, **scene.program.meta}
+
+
+def _color(source, names: Mapping[Node, str]) -> dict:
+    """Where the colour of a part comes from: a value of the session, or numbers. Nothing where it is worked out from more than that."""
+    if isinstance(source, Texture) and source.uv is None and source.image in names:
+        return {"texture": names[source.image], "wrap": source.wrap}
+    if isinstance(source, Vertex) and source.table in names:
+        return {"vertices": names[source.table]}
+    if isinstance(source, Corner) and source.table in names:
+        return {"corners": names[source.table], "faces": pack(source.faces, "<i4")}
+    if isinstance(source, Node) and source in names:
+        return {"value": names[source]}
+    if isinstance(source, (int, float)):
+        return {"numbers": [float(source)] * 3}
+    return {"numbers": [float(x) for x in source]} if isinstance(source, (tuple, list)) else {}
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One part of a bundle's meta, read with care: it is somebody's file."""
+
+    session: object
+    meta: Mapping
+    where: str
+
+    def value(self, name) -> np.ndarray:
+        if not isinstance(name, str) or name not in self.session.values:
+            raise BundleError(f"{self.where} names the value {name!r:.60}, which the bundle does not have; compile the bundle again")
+        return np.asarray(self.session.get(name), np.float64)
+
+    def array(self, key: str, kind: str, columns: int) -> np.ndarray | None:
+        return unpack(self.meta[key], f"{self.where}.{key}", kind, columns) if key in self.meta else None
+
+
+def parts_of(session) -> list[Part]:
+    """The parts as they are on the device now, colours in sRGB as files have them. Raises BundleError."""
+    meta = session.bundle.description["meta"]
+    entries = meta.get("parts")
+    if not isinstance(entries, list) or not entries or not all(isinstance(e, Mapping) for e in entries):
+        raise BundleError("this bundle carries no parts (meta.parts); compile it from a job, a Problem or a recorded Scene")
+    return [_part(_Entry(session, entry, f"meta.parts[{k}]"), bool(meta.get("linear_albedo"))) for k, entry in enumerate(entries)]
+
+
+def _part(e: _Entry, linear: bool) -> Part:
+    def stored(colors: np.ndarray) -> np.ndarray:
+        colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
+        return linear_to_srgb(colors) if linear else colors
+
+    name, positions, color = str(e.meta.get("name", "")), e.meta.get("positions"), e.meta.get("color", {})
+    if not isinstance(color, Mapping):
+        raise BundleError(f"{e.where}.color is malformed; compile the bundle again")
+    faces = e.array("faces", "<i4", 3)
+    if faces is None:
+        raise BundleError(f"{e.where} has no faces; compile the bundle again")
+    places = e.value(positions) if isinstance(positions, str) else unpack(positions, f"{e.where}.positions", "<f8", 3)
+    mesh = Mesh(places, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
+                normal_faces=e.array("normal_faces", "<i4", 3))
+    material = Material(name, unlit=bool(e.meta.get("unlit")))
+    if "texture" in color:
+        mesh = replace(mesh, texture=stored(e.value(color["texture"])), wrap=color.get("wrap", "repeat"))
+    elif "vertices" in color:
+        mesh = replace(mesh, colors=stored(e.value(color["vertices"])))
+    elif "corners" in color:
+        mesh = replace(mesh, colors=stored(e.value(color["corners"])), color_faces=unpack(color["faces"], f"{e.where}.color", "<i4", 3))
+    elif "value" in color or "numbers" in color:
+        numbers = e.value(color["value"]) if "value" in color else np.array(color["numbers"], np.float64)
+        numbers = np.broadcast_to(numbers, 3) if linear else srgb_to_linear(np.clip(np.broadcast_to(numbers, 3), 0.0, 1.0))
+        material = replace(material, base_color=(*map(float, np.clip(numbers, 0.0, 1.0)), 1.0), stated=True)
+    return Part(name, mesh, material)
+

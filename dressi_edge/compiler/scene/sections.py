@@ -1,0 +1,129 @@
+"""What jobs of one mesh and of several parts have in common: views, lights, softness, optimizers, schedules; tables in, values out."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from ..io.mesh import Mesh
+from ..io.meshes import load_mesh, load_texture, normalize
+from ..io.shapes import sphere
+from ..io.views import Views, load_gltf_views, load_views
+from ..render.light import KINDS as LIGHTS
+from ..render.light import Light
+from ..render.optimizer import Adam, Sgd
+from ..render.raster import DISTANCES, MAX_LAYERS, Softness
+from ..render.schedule import Schedule
+from .tables import NEEDED, Table
+
+MESH = ("path", "sphere", "normalize", "texture")
+SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
+OPTIMIZERS = {"adam": (Adam, ("rate", "betas", "epsilon")), "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
+
+
+def mesh_of(t: Table, folder: Path) -> Callable[[], Mesh]:
+    """Reads [mesh], or what of a [[part]] says its mesh; gives a function that loads it."""
+    if len(t.has("path", "sphere")) != 1:
+        raise t.conflict("path or sphere is needed, and not both")
+    scaled, texture = t.flag("normalize", False), t.file("texture", folder, None)
+    file = t.file("path", folder, None)
+    if file is None:
+        if scaled:
+            raise t.conflict("normalize is for path; a sphere has its radius")
+        ball = t.table("sphere", ("vertices", "radius"))
+        vertices, radius = ball.number("vertices", 2562, 4, 700_000, whole=True), ball.number("radius", 1.0, 0.0, above=True)
+
+    def make() -> Mesh:
+        if file is None:
+            mesh = ball.checked(sphere, vertices, radius)
+            return mesh if texture is None else replace(mesh, texture=t.checked(load_texture, texture))
+        mesh = t.checked(load_mesh, file, texture)
+        return t.checked(normalize, mesh) if scaled else mesh
+
+    return make
+
+
+def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None]):
+    """Reads [views]; gives the table and a function that loads them."""
+    t = job.table("views", ("transforms", "gltf", "images", "size", "order", "seed", "color", "near", "far"))
+    if len(t.has("transforms", "gltf")) != 1:
+        raise t.conflict("transforms (a NeRF-style JSON or its folder) or gltf (cameras) is needed, and not both")
+    transforms, gltf = t.file("transforms", folder, None), t.file("gltf", folder, None)
+    size = t.numbers("size", 2, None, 1, 16384, whole=True)
+    near, far = t.number("near", 0.05, 0.0, above=True), t.number("far", 100.0, 0.0, above=True)
+    if far <= near:
+        raise t.wrong("far", far, f"a number above near, {near:g}, is needed")
+    if gltf is not None and t.has("near", "far"):
+        raise t.conflict("near and far are for transforms; glTF cameras have their own")
+    images = t.get("images", None)
+    if (gltf is None) != (images is None):
+        raise t.conflict("gltf and images belong together; transforms names its images itself")
+    if images is not None:
+        listed = images if isinstance(images, list) else [images]
+        if not (listed and all(isinstance(i, str) and i for i in listed)):
+            raise t.wrong("images", images, "a folder or a list of files is needed")
+        listed = [t.path("images", folder, i) for i in listed]
+        images = listed if isinstance(images, list) else listed[0]
+
+    def make() -> Views:
+        if transforms is not None:
+            return t.checked(load_views, transforms, size, near, far, fits)
+        return t.checked(load_gltf_views, gltf, images, size, fits)
+
+    return t, make
+
+
+def soft(t: Table) -> dict:
+    """The softness keys of a table that are there."""
+    if len(t.has("r", "r_fraction")) > 1:
+        raise t.conflict("r (pixels) and r_fraction (of the image's larger side) are both given; give one")
+    soft = {"r": t.number("r", None, 0.0, above=True), "r_fraction": t.number("r_fraction", None, 0.0, 1.0, above=True),
+            "sigma": t.number("sigma", None, 0.0, above=True), "delta": t.number("delta", None, 0.0),
+            "layers": t.number("layers", None, 1, MAX_LAYERS, whole=True), "distance": t.word("distance", None, DISTANCES)}
+    soft = {k: x for k, x in soft.items() if x is not None}
+    if "r" in soft or "r_fraction" in soft:  # either replaces the other of an outer table
+        soft = {"r": None, "r_fraction": None, **soft}
+    return soft
+
+
+def softness_of(soft: dict, side: int) -> Softness:
+    r = soft["r_fraction"] * side if soft.get("r_fraction") else soft.get("r") or 2.0
+    return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"))
+
+
+def light_of(t: Table) -> Light:
+    kind, power = t.word("kind", allowed=LIGHTS), t.get("power")
+    if isinstance(power, list):
+        power = t.numbers("power", 3, low=0)
+    else:
+        power = (float(t.number("power", low=0)),) * 3
+    if kind == "ambient" and t.has("vector"):
+        raise t.conflict("vector is for directional and point lights; an ambient light has none")
+    return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3))
+
+
+def optimizer_of(outer: Table, key: str, steps: int) -> Adam | Sgd:
+    every = tuple(dict.fromkeys(k for _, keys in OPTIMIZERS.values() for k in keys))
+    t = outer.table(key, ("optimizer", *every))
+    kind = t.word("optimizer", "adam", tuple(OPTIMIZERS))
+    make, keys = OPTIMIZERS[kind]
+    if extra := [k for k in t.has(*every) if k not in keys]:
+        raise t.conflict(f"{extra[0]} is no setting of {kind}; allowed: {' '.join(keys)}")
+    given = {"rate": schedule_of(t, "rate", steps)}
+    if t.has("betas"):
+        given["betas"] = t.numbers("betas", 2, low=0, high=1)
+    for name in t.has("epsilon", "momentum"):
+        given[name] = t.number(name, low=0)
+    if t.has("nesterov"):
+        given["nesterov"] = t.flag("nesterov", False)
+    return t.checked(make, **given)
+
+
+def schedule_of(t: Table, key: str, steps: int, default=NEEDED) -> Schedule:
+    """A number or a schedule's table; one with an `end` spans the phase unless it says otherwise."""
+    value = t.get(key, default)
+    if isinstance(value, dict):
+        t.table(key, ("start", "end", "steps", "kind", "at", "values", "warmup"))
+        if "end" in value or value.get("kind") in ("exponential", "linear", "cosine"):
+            value = {"steps": max(1, steps - value["warmup"] if isinstance(value.get("warmup"), int) else steps), **value}
+    return t.checked(Schedule.parse, value, key)

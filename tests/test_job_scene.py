@@ -1,0 +1,127 @@
+"""Jobs of several parts: what is read, what is refused, and two parts from pictures to files."""
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jobs import command
+
+from dressi_edge import runtime
+from dressi_edge.cache.errors import InputError
+from dressi_edge.compiler.graph.functions import compose
+from dressi_edge.compiler.io.meshes import load_parts
+from dressi_edge.compiler.io.writers import save_mesh, save_png
+from dressi_edge.compiler.scene import Scene, Texture, Unlit, Vertex, icosphere, orbit, pear
+from dressi_edge.compiler.scene.job import parse_job
+
+pytest_plugins = ["gpu"]
+PEAR = pear(32)
+BALL = replace(icosphere(2, 0.3), colors=0.5 + 0.4 * np.sin(9 * icosphere(2, 0.3).positions))
+AT = np.array([0.5, 0.2, 0.5])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, gpu):
+    """Two pictures of a pear with a ball beside it, both as files, and the cameras."""
+    folder, cams = tmp_path_factory.mktemp("parts"), orbit(2, [20, -15], 3.2, 40, (80, 60))
+    s = Scene(cams, (0.2, 0.2, 0.2))
+    s.add(PEAR, material=Unlit(Texture(s.parameter("texture", PEAR.texture))))
+    s.add(replace(BALL, positions=BALL.positions + AT), material=Unlit(Vertex(s.parameter("colors", BALL.colors))))
+    f = s.frame()
+    s.output("look", pictures=compose(f.color, f.alpha))
+    with runtime.load(gpu.compile(s.program), gpu.device) as session:
+        pictures = session.get("look.pictures")
+    frames = []
+    for k, (camera, picture) in enumerate(zip(cams, pictures)):
+        save_png(folder / f"{k}.png", picture)
+        frames.append({"file_path": f"{k}.png", "transform_matrix": camera.camera_to_world.tolist()})
+    c = cams[0]
+    (folder / "transforms.json").write_text(json.dumps({"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height,
+                                                        "frames": frames}))
+    save_mesh(folder / "pear.glb", PEAR)
+    save_mesh(folder / "ball.glb", BALL)
+    return folder
+
+
+def job(**changed):
+    """A job as TOML reads it; the ball starts beside its place."""
+    whole = {"part": [{"name": "pear", "path": "pear.glb"}, {"name": "ball", "path": "ball.glb", "translation": [0.42, 0.3, 0.42]}],
+             "views": {"transforms": "."}, "render": {"background": [0.2, 0.2, 0.2]},
+             "phase": [{"name": "pose", "steps": 60, "optimize": {"ball": {"translation": {"rate": 0.02}}},
+                        "loss": [{"kind": "color"}, {"kind": "silhouette", "weight": 0.5}]}]}
+    return whole | changed
+
+
+def toml(x):
+    """A job's text: inline tables for all but what is on top."""
+    def inline(v):
+        if isinstance(v, dict):
+            return "{" + ", ".join(f'"{k}" = {inline(w)}' for k, w in v.items()) + "}"
+        return "[" + ", ".join(map(inline, v)) + "]" if isinstance(v, list) else json.dumps(v)
+    return "\n".join(f"{k} = {inline(v)}" for k, v in x.items()) + "\n"
+
+
+def test_two_parts_from_pictures_to_files(folder, tmp_path):
+    """compile, run: the ball finds its place, and both parts are written with their materials and with the vertices they came with."""
+    (folder / "job.toml").write_text(toml(job()))
+    assert "phases pose (60 steps)" in command("compile", folder / "job.toml", "-p", "vulkan_min", "-o", tmp_path / "x.dressi").stdout
+    done = command("run", tmp_path / "x.dressi", "-o", tmp_path / "out.glb")
+    assert done.returncode == 0, done.stderr
+    metrics = json.loads((tmp_path / "out_metrics.json").read_text())
+    np.testing.assert_allclose(metrics["parameters"]["ball.translation"], AT, atol=0.02)
+    assert metrics["views"]["iou_min"] > 0.98 and metrics["views"]["psnr_min"] > 24
+    found = {p.name: p for p in load_parts(tmp_path / "out.glb")}
+    assert found.keys() == {"pear", "ball"} and all(p.material.unlit for p in found.values())
+    np.testing.assert_allclose(found["ball"].mesh.positions.mean(0), AT, atol=0.02)
+    assert len(found["ball"].mesh.positions) == len(BALL.positions)
+    np.testing.assert_allclose(found["pear"].mesh.texture, PEAR.texture, atol=1 / 255)
+
+
+@pytest.mark.parametrize("optimize", [{"ball": {"translation": {"rate": 0.02}, "scale": {"rate": 0.1}}},
+                                      {"ball.translation": {"rate": 0.02}, "ball.scale": {"rate": 0.1}}])
+def test_names_of_parameters_may_be_nested_or_not(folder, optimize):
+    found = parse_job(job(phase=[job()["phase"][0] | {"optimize": optimize}]), folder / "job.toml")
+    assert {"ball.translation", "ball.scale"} <= found.scene.parameters.keys()
+
+
+def test_every_parameter_can_be_named(folder):
+    """One phase optimizes all there are; materials are lit and shine."""
+    material = {"kind": "blinn_phong", "color": [0.5, 0.4, 0.3], "specular": 0.2, "gloss": 10.0}
+    parts = [job()["part"][0], job()["part"][1] | {"material": material}]
+    names = ["pear.texture", "pear.vertices", "ball.color", "ball.specular", "ball.gloss", "ball.rotation", "ball.translation",
+             "ball.scale", "light0.power", "light0.vector", "camera.rotation", "camera.translation"]
+    mesh_terms = [{"kind": k, "part": "pear"} for k in ("laplacian", "cotangent_laplacian", "normal_consistency", "edge_length")]
+    terms = [{"kind": "color", "norm": norm} for norm in ("l1", "huber", "pyramid")] + mesh_terms
+    whole = job(part=parts, light=[{"kind": "point", "power": 8, "vector": [2, 2, 2]}],
+                phase=[{"name": "all", "steps": 3, "optimize": {k: {"rate": 0.001} for k in names},
+                        "loss": [*terms, {"kind": "magnitude", "parameter": "ball.scale", "weight": 0.1}]}])
+    found = parse_job(whole, folder / "job.toml")
+    assert set(names) == found.scene.parameters.keys() and found.phases == ["all"]
+    assert [p.name for p in found.program.plans] == ["all", "all.loss", "all.terms", "render"]
+
+
+@pytest.mark.parametrize("change, what", [
+    ({"part": []}, "part is empty"),
+    ({"part": [{"name": "a", "path": "pear.glb"}] * 2}, "two parts are called 'a'"),
+    ({"part": [{"path": "pear.glb"}]}, r"part\[0\].name is missing"),
+    ({"part": [{"name": "a.b", "path": "pear.glb"}]}, r"part\[0\].name is 'a.b'; letters"),
+    ({"part": [{"name": "a"}]}, r"part\[0\]: path or sphere is needed"),
+    ({"part": [{"name": "a", "path": "none.glb"}]}, "none.glb does not exist"),
+    ({"part": [{"name": "a", "path": "pear.glb", "colour": 1}]}, r"part\[0\].colour is an unknown key"),
+    ({"part": [{"name": "a", "path": "pear.glb", "material": {"kind": "glass"}}]}, r"material.kind is 'glass'.*allowed: unlit lambert"),
+    ({"part": [{"name": "a", "path": "pear.glb", "material": {"gloss": 3}}]}, "gloss is no setting of unlit"),
+    ({"part": [{"name": "a", "path": "pear.glb", "material": {"kind": "lambert"}}]}, r"there is no \[\[light\]\]"),
+    ({"part": [{"name": "a", "path": "pear.glb", "scale": 0}]}, r"part\[0\].scale is 0"),
+    ({"light": [{"kind": "ambient", "power": 1}]}, "no part's material has a use for it"),
+    ({"mesh": {"path": "pear.glb"}}, "mesh is an unknown key"),
+    ({"phase": []}, "phase is missing"),
+    ({"phase": [job()["phase"][0] | {"optimize": {"cube.vertices": {"rate": 1}}}]}, r"optimize.cube.vertices is no parameter.*ball.scale"),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian"}]}]}, "part is missing; loss laplacian is of one part: pear ball"),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "color", "power": 2}]}]}, "power is no setting of loss color"),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "magnitude", "parameter": "x"}]}]}, "parameter is 'x'; there are: "),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian", "part": "pear"}]}]},
+     "optimizes ball.translation .* none of its terms depends on it"),
+], ids=lambda x: x if isinstance(x, str) else "")
+def test_mistakes_are_named(folder, change, what):
+    with pytest.raises(InputError, match=what):
+        parse_job(job(**change), folder / "job.toml")
