@@ -31,8 +31,25 @@ def _commands(source: str, out: str) -> list[list[str]]:
             [_tool("spirv-val"), "--target-env", "vulkan1.0", out]]
 
 
+# glslang declares all built-in functions of the shader's version of GLSL anew in each process: of 4.50 that takes ten times as long as the
+# shader, of 4.00 a third of that. Fragment shaders come out the same in every byte; vertex shaders have one built-in output more in 4.50.
+_VERSION = "#version 450\n"
+_QUICK = ("#version 400\n#extension GL_ARB_separate_shader_objects : require\n"
+          "#extension GL_ARB_shading_language_420pack : require\n")
+
+
 def _compile(job: tuple[str, str]) -> bytes:
+    """The SPIR-V of a shader. One that needs its own version of GLSL, for a function that is new there, is compiled as that."""
     stage, text = job
+    if stage == "frag" and text.startswith(_VERSION):
+        try:
+            return _compile_as(stage, _QUICK + text[len(_VERSION):])
+        except ShaderError:
+            pass
+    return _compile_as(stage, text)
+
+
+def _compile_as(stage: str, text: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         source, out = os.path.join(folder, f"s.{stage}"), os.path.join(folder, "s.spv")
         with open(source, "w") as f:
