@@ -3,6 +3,7 @@ goes on where the other stopped. Built with the sanitizers of addresses and unde
 
 import json
 import os
+import random
 import re
 import shutil
 import stat
@@ -17,6 +18,7 @@ import make_vectors
 import numpy as np
 import pytest
 import test_checkpoint
+import test_spirv
 
 from dressi_edge import runtime
 from dressi_edge.cache import bundle, pipeline_cache
@@ -126,6 +128,53 @@ def test_mutated_bundles_are_judged_alike(player):
 @pytest.mark.parametrize("seed", range(20))
 def test_many_mutated_bundles_are_judged_alike(player, seed):
     assert sum(same_judgement(player, 10_000, 100 + seed)) == 10_000
+
+
+def with_shader(module: bytes) -> bytes:
+    """A bundle whose fragment shader is this module."""
+    d, blobs = hostile_bundles.vector("ops")
+    blobs[d["shaders"][d["pipelines"][0]["fragment"]]] = module
+    return bundle.dumps(d, blobs)
+
+
+def damaged_shaders(seed: int, count: int):
+    """So many shaders of the vectors with an instruction or a branch changed."""
+    r, modules = random.Random(seed), set()
+    for name in make_vectors.VECTORS:
+        b = bundle.read(FOLDER / f"{name}.dressi")
+        modules |= {bytes(b.blob(k)) for k in b.description["shaders"]}
+    sound = sorted(x for x in modules if len(x) < 8000)
+    for _ in range(count):
+        data = r.choice(sound)
+        words = struct.unpack(f"<{len(data) // 4}I", data)
+        instructions = test_spirv.split(words)
+        test_spirv.damaged(r, instructions)
+        changed = [*words[:5], *(x for i in instructions for x in i)]
+        yield struct.pack(f"<{len(changed)}I", *changed)
+
+
+def same_judgement_of_shaders(player, modules) -> tuple[int, int]:
+    """How many both readers refused and accepted. Of several uses that nothing dominates Python names any."""
+    made = [with_shader(module) for module in modules]
+    found = player.judge(made)
+    for data, told in zip(made, found, strict=True):
+        wanted = python_says(data)
+        assert told == wanted or "need not run before it" in told[1] and "need not run before it" in wanted[1], (told, wanted)
+    return sum(code > 0 for code, _ in found), sum(code == 0 for code, _ in found)
+
+
+def test_shaders_are_judged_alike(player):
+    written = [*((row[0] + "\n", "OpReturn\n") for row in (*test_spirv.DECLARED.values(), *test_spirv.TOO_MUCH.values())),
+               *(("", row[0]) for row in test_spirv.BODY.values()), *(("", body) for body in test_spirv.SOUND.values())]
+    chains = [test_spirv.shader("", test_spirv.CALL, test_spirv.chain(*how)) for how in ((2, 30), (2, 12), (1, 64), (1, 63))]
+    same_judgement_of_shaders(player, [*(test_spirv.shader(*one) for one in written), *chains])
+    refused, accepted = same_judgement_of_shaders(player, damaged_shaders(3, 800))
+    assert refused > 500 and accepted > 2
+
+
+@pytest.mark.full
+def test_many_damaged_shaders_are_judged_alike(player):
+    same_judgement_of_shaders(player, damaged_shaders(4, 20_000))
 
 
 @pytest.mark.parametrize("name", ["ops", "texture", *(pytest.param(name, marks=pytest.mark.full) for name in make_vectors.VECTORS)])
