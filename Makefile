@@ -13,7 +13,7 @@ READY := $(VENV)/.ready
 .ONESHELL:
 .SHELLFLAGS := -ec
 .DELETE_ON_ERROR:
-.PHONY: setup test test-full test-drivers fuzz demo clean
+.PHONY: setup test test-full test-drivers fuzz fuzz-text demo clean
 export DRIVERS
 
 setup: $(READY)
@@ -31,6 +31,9 @@ test-drivers: setup
 
 fuzz: setup
 	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_bundle.py $(or $(MUTATIONS),200000) $(or $(SEED),0)
+
+fuzz-text: setup
+	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_text.py $(or $(MUTATIONS),100000) $(or $(SEED),0)
 
 demo: setup
 	$(VENV)/bin/dressi-edge demo -o demo_out

@@ -59,6 +59,7 @@ def test_what_no_bundle_or_no_machine_can_hold_is_told(monkeypatch):
 
 @pytest.mark.parametrize("change, told", [
     ({"texture": (8192, 8)}, "a texture of 8192x8; profile vulkan_min allows 4096x4096; scale it down"),
+    ({"texture": (16384, 16384)}, "a texture of 16384x16384; at most 67108864 texels are allowed, such as 8192x8192"),
     ({"vertices": 700_000, "views": 30}, "30 views of 700000 vertices need a table of 21000000 entries; profile vulkan_min allows "
                                          "16777216; use fewer views or vertices"),
     ({"faces": 20_000_000}, "20000000 faces need a table"),

@@ -109,6 +109,9 @@ def show(value) -> str:
     return (text := repr(value))[:60] + ("..." if len(text) > 60 else "")
 
 
+NAMED = 24  # of the names that an error lists
+
+
 def close(name: str, known: Iterable[str], cutoff: float) -> list[str]:
     import difflib
 
@@ -116,8 +119,9 @@ def close(name: str, known: Iterable[str], cutoff: float) -> list[str]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    near = close(str(name)[:80], known, 0.5)
-    return f"did you mean {near[0]}?" if near else f"known: {' '.join(known)}"
+    """What was likely meant by a name, in words: the one known that is near, or the first few there are."""
+    near, known = close(str(name)[:80], known, 0.5), list(known)
+    return f"did you mean {near[0]}?" if near else f"known: {' '.join(known[:NAMED])}{' ...' if len(known) > NAMED else ''}"
 
 
 def an_object(value, where: str, keys: Iterable[str] | None = None, required: bool = False) -> dict:

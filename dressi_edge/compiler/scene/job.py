@@ -32,6 +32,8 @@ else:
 
 MAX_FILE_BYTES = 1 << 20
 SHARP = Softness(1.0, delta=0.0)  # of the plan "render": about as soft as a pixel's own area
+MAX_PHASE_NAME = 100
+
 
 @dataclass(frozen=True)
 class _Phase:
@@ -122,6 +124,9 @@ def _render(job: Table) -> tuple[Table, dict]:
 
 def _phase(t: Table) -> _Phase:
     name, steps = t.word("name"), t.number("steps", low=1, high=10 ** 8, whole=True)
+    if not name.isprintable() or len(name) > MAX_PHASE_NAME or name == "render":
+        raise t.wrong("name", name, f"a name of up to {MAX_PHASE_NAME} letters, none of control, is needed, "
+                      "and not that of the plan \"render\"")
     optimize = t.get("optimize")
     if not isinstance(optimize, dict) or not optimize:
         raise t.wrong("optimize", optimize, "a table of parameters such as "

@@ -14,6 +14,7 @@ from ...cache.layout import MAX_TABLE_ROWS, table_size
 from ...cache.profile import Profile
 from ..graph.ir import topological
 from ..graph.ops.texture_gradient import MAX_PIXELS
+from ..io.images import MAX_PIXELS as MAX_TEXELS
 from ..render.atlas import Atlas
 
 BYTES_PER_PIXEL = 110  # of all views together, at the peak of a compilation: measured for 4 to 18 million pixels
@@ -74,6 +75,9 @@ def fits_scene(profiles: Sequence[Profile], views: int, pixels: int, order: str,
     one_by_one = "set views.order = \"cycle\" or \"shuffle\", or " if at_once > 1 else ""
     drawn = f"{views} views of {vertices} vertices"
     rows = [(vertices * views, drawn, "use fewer views or vertices"), (faces, f"{faces} faces", "use fewer faces")]
+    if texture is not None and texture[0] * texture[1] > MAX_TEXELS:
+        raise InputError(f"a texture of {texture[0]}x{texture[1]}; at most {MAX_TEXELS} texels are allowed, such as 8192x8192; "
+                         "scale it down")
     if texture is not None and "texture" in optimized and texture_grad == "exact":
         lookups = at_once * pixels
         what = f"a texture that is fitted to {at_once} view{'s' if at_once > 1 else ''} of {pixels} pixels at a time"

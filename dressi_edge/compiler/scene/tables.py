@@ -10,6 +10,7 @@ from ...cache.errors import InputError
 from ..io.text import shown
 
 NEEDED = object()
+LONGEST_REASON = 800  # letters of what is wrong, for it may repeat a text of the user's
 MAX_NAME_BYTES = 255  # of a file's name on common file systems
 
 
@@ -34,7 +35,7 @@ class Table:
         return InputError(f"{self.source}: {self._at(key)} is {found!r:.60}; {allowed}")
 
     def conflict(self, text: str) -> InputError:
-        return InputError(f"{self.source}: {self.where}: {text}")
+        return InputError(f"{self.source}: {self.where}: {shown(text, LONGEST_REASON)}")
 
     def has(self, *keys: str) -> list[str]:
         return [key for key in keys if key in self.value]
