@@ -11,6 +11,7 @@ from gltf_files import CORNER_UVS, SQUARE, TWO, GltfFile, checker
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError, InputWarning
+from dressi_edge.commands.run import _save_states
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.images import linear_to_srgb, srgb_to_linear
@@ -89,8 +90,8 @@ def test_one_texture_for_all_stays_as_it_is(tmp_path, wrap, inside, wanted):
     g, picture = GltfFile(), checker(4, 4)
     texture = g.texture(picture, sampler=g.add("samplers", {"wrapS": CODES[wrap], "wrapT": CODES[wrap]}))
     uvs = CORNER_UVS if inside else CORNER_UVS * 3
-    for z in (0, 1):
-        g.square(g.material(texture=texture), {"TEXCOORD_0": g.accessor(uvs)}, translation=[0, 0, z])
+    for z, own in ((0, CORNER_UVS * 0.5 + 0.25), (1, uvs)):  # the first comes near no edge
+        g.square(g.material(texture=texture), {"TEXCOORD_0": g.accessor(own.astype(np.float32))}, translation=[0, 0, z])
     mesh = load_mesh(g.save(tmp_path / "a.glb"))
     assert np.array_equal(mesh.texture, picture / 255) and mesh.wrap == wanted and np.allclose(mesh.uvs[mesh.uv_faces[2]], uvs[TWO[0]])
 
@@ -296,6 +297,21 @@ def test_what_nothing_changes_comes_back_the_same_with_srgb(albedo):
     back = mesh_of(session)
     assert np.allclose(back.texture if albedo == "texture" else back.colors, (0.5, 0.3, 0.8), atol=1e-6)
     assert np.allclose(linear_mesh(ball()).colors, srgb_to_linear(np.array((0.5, 0.3, 0.8))))
+
+
+def test_arrays_have_the_files_order_and_the_map_where_vertices_are_fewer(tmp_path):
+    """A9: what `run -o out.npz` writes."""
+    (tmp_path / "a.obj").write_text("v 9 9 9\nv 1 0 0\nv 0 1 0\nv 1 0 0\nv 0 0 0\nf 5 4 3\nf 3 2 5\n")
+    for text, rows in (("a.obj", [0, 1, 2, 1, 3]), ("b.obj", None)):
+        if rows is None:
+            (tmp_path / text).write_text((tmp_path / "a.obj").read_text().replace("v 1 0 0\nv 0 0 0", "v 1 0 1\nv 0 0 0"))
+        mesh = load_mesh(tmp_path / text)
+        _, session = shown(Problem(mesh, VIEW, albedo="colors"))
+        _save_states(session, str(tmp_path / "a.npz"))
+        with np.load(tmp_path / "a.npz") as arrays:
+            assert np.allclose(arrays["vertices"], mesh.positions, atol=1e-6)
+            assert arrays["vertex_map"].tolist() == rows if rows else "vertex_map" not in arrays
+        assert (mesh_of(session).vertex_map is None) == (rows is None)
 
 
 def test_colours_of_corners_are_drawn_without_bleeding(tmp_path):

@@ -38,17 +38,16 @@ def baked(surfaces: Sequence[Surface]) -> dict:
     looks: dict[tuple, list[int]] = {}
     for k, surface in enumerate(surfaces):
         if surface.map is not None:
-            wrap = tuple(_wrap(surface, axis) for axis in (0, 1))
-            looks.setdefault((id(surface.map.picture), surface.factor, wrap), []).append(k)
+            looks.setdefault((id(surface.map.picture), surface.factor, surface.map.wrap), []).append(k)
     corners = [None if s.uvs is None else s.uvs[0][s.uvs[1]] for s in surfaces]
     if len(looks) == 1 and all(s.map is not None for s in surfaces):
-        wraps = set(next(iter(looks))[2]) - {"any"}
+        wraps = set(_wraps(surfaces[0].map, np.concatenate(corners))) - {"any"}
         if len(wraps) <= 1 and "mirror" not in wraps:
             return {"texture": _texels(surfaces[0]), "wrap": wraps.pop() if wraps else "repeat", **_compact(np.concatenate(corners))}
     tiles, moves = [], []
-    for (_, _, wrap), which in looks.items():
-        uv = np.concatenate([corners[k] for k in which])
-        tile, moved = _picture_tile(_texels(surfaces[which[0]]), uv, wrap)
+    for which in looks.values():
+        uv, first = np.concatenate([corners[k] for k in which]), surfaces[which[0]]
+        tile, moved = _picture_tile(_texels(first), uv, _wraps(first.map, uv))
         tiles.append(tile)
         moves.append((which, moved))
     colored = [k for k, s in enumerate(surfaces) if s.map is None]
@@ -76,13 +75,15 @@ def _texels(surface: Surface) -> np.ndarray:
     return texels if surface.factor == (1.0, 1.0, 1.0) else np.clip(linear_to_srgb(srgb_to_linear(texels) * surface.factor), 0.0, 1.0)
 
 
-def _wrap(surface: Surface, axis: int) -> str:
-    """How the picture goes on along an axis: "any" where no face comes near its edge; "mirror" only where faces go beyond it."""
-    uv, size = surface.uvs[0][surface.uvs[1]][..., axis], surface.map.picture.texels().shape[1 - axis]
-    if uv.min() >= 0.5 / size and uv.max() <= 1.0 - 0.5 / size:
-        return "any"
-    wrap = surface.map.wrap[axis]
-    return "clamp" if wrap == "mirror" and uv.min() >= 0.0 and uv.max() <= 1.0 else wrap
+def _wraps(found: TextureMap, uvs: np.ndarray) -> tuple[str, str]:
+    """How the picture goes on by u and by v for faces (F, 3, 2): "any" where none comes near its edge, "mirror" only where some go
+    beyond."""
+    out = []
+    for axis, size in enumerate(found.picture.texels().shape[1::-1]):
+        low, high, wrap = uvs[..., axis].min(), uvs[..., axis].max(), found.wrap[axis]
+        inside = low >= 0.5 / size and high <= 1.0 - 0.5 / size
+        out.append("any" if inside else "clamp" if wrap == "mirror" and low >= 0.0 and high <= 1.0 else wrap)
+    return out[0], out[1]
 
 
 def _picture_tile(texels: np.ndarray, uv: np.ndarray, wrap: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:

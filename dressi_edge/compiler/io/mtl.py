@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ...cache.errors import InputError, note
+from ...cache.layout import beyond_fp32
 from .images import srgb_to_linear
 from .materials import IDENTITY, Material, TextureMap
 from .pieces import decoded, listed, numbers
@@ -75,7 +76,7 @@ def _map(path: Path, rest: str, where: str) -> TextureMap:
         behind, left = _options(name[cut.start():].strip() + " ", where)
         if not left and (file := find_file(path.parent, name[:cut.start()])):
             options, name = {**options, **behind}, name[:cut.start()]
-    scale, offset = (_uv(options.get(key), default) for key, default in (("-s", 1.0), ("-o", 0.0)))
+    scale, offset = (_uv(options.get(key), default, f"{where}: option {key}") for key, default in (("-s", 1.0), ("-o", 0.0)))
     if ignored := [key for key in options if key in ("-mm", "-t", "-imfchan", "-bm", "-boost", "-cc")
                    and options[key] not in (["0", "1"], ["0", "0", "0"], ["on"] if key == "-cc" else ["1"], ["off"])]:
         note(f"{where}: options {listed(ignored)} of the map are not applied")
@@ -86,9 +87,11 @@ def _map(path: Path, rest: str, where: str) -> TextureMap:
                       wrap=(wrap, wrap))
 
 
-def _uv(words: list[str] | None, default: float) -> tuple[float, float]:
-    found = [float(word) for word in words or ()] + [default] * 2
-    return found[0], found[1]
+def _uv(words: list[str] | None, default: float, where: str) -> tuple[float, float]:
+    found = [float(word) for word in words or ()][:2]
+    if any(beyond_fp32(x) for x in found):
+        raise InputError(f"{where} is {' '.join(words)!r:.60}; numbers that are finite in fp32 are needed")
+    return tuple(found + [default] * (2 - len(found)))
 
 
 def _options(text: str, where: str) -> tuple[dict[str, list[str]], str]:

@@ -64,12 +64,14 @@ def read_off(path: Path, data: bytes) -> Pieces:
     if texture and width >= at + 2 + 3 * colored:
         uvs = numbers([word for row in rows for word in row[-2:]], where).reshape(-1, 2) * (1.0, -1.0) + (0.0, 1.0)
     sizes = np.clip(np.nan_to_num(numbers([row[0] for row in faces], where)), 0, [len(row) for row in faces]).astype(int).tolist()
-    corners = np.nan_to_num(numbers([word for row, n in zip(faces, sizes) for word in row[1:1 + n]], where)).astype(np.int64)
+    corners = numbers([word for row, n in zip(faces, sizes) for word in row[1:1 + n]], where)
     starts = np.concatenate([[0], np.cumsum([len(row[1:1 + n]) for row, n in zip(faces, sizes)])]).astype(np.int64)
-    if (bad := (corners < 0) | (corners >= vertex_count)).any():
+    if (bad := ~((corners >= 0) & (corners < vertex_count) & (corners == np.floor(corners)))).any():
         face = int(np.searchsorted(starts, int(np.argmax(bad)), "right")) - 1
-        raise InputError(f"{path}: faces[{face}] is {corners[starts[face]:starts[face + 1]].tolist()!s:.60}, but there are {vertex_count} "
+        found = ", ".join(f"{x:g}" for x in corners[starts[face]:starts[face + 1]][:6])
+        raise InputError(f"{path}: faces[{face}] is [{found}], but there are {vertex_count} "
                          f"vertices, 0 to {vertex_count - 1}; repair or drop that face")
+    corners = corners.astype(np.int64)
     places, owner = triangulated(positions, starts, corners)
     triangles = corners[places]
     behind = [row[1 + n:] for row, n in zip(faces, sizes)]
