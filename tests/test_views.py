@@ -416,6 +416,14 @@ def test_gltf_cameras_have_world_transforms(tmp_path, suffix):
     assert np.allclose(camera.camera_to_world[:3, 2], (1, 0, 0)) and (camera.near, camera.far) == (0.1, 100.0)
 
 
+def test_orthographic_gltf_cameras_span_twice_ymag(tmp_path):
+    document = json.loads(json.dumps(GLTF))
+    document["cameras"] = [{"type": "orthographic", "orthographic": {"xmag": 4.0, "ymag": -3.0, "znear": 0, "zfar": 20.0}}]
+    (tmp_path / "c.gltf").write_text(json.dumps(document))
+    (camera,) = gltf_cameras(tmp_path / "c.gltf", 64, 48)[0]
+    assert (camera.kind, camera.fx, camera.fy, camera.near, camera.far) == ("orthographic", 8.0, 8.0, 0.0, 20.0)
+
+
 def gltf_scene(nodes):
     return GLTF | {"nodes": [{"camera": 0, "translation": [k, 0, 3], **more} for k, more in enumerate(nodes)],
                    "scenes": [{"nodes": list(range(len(nodes)))[::-1]}]}
@@ -447,7 +455,9 @@ def test_an_aspect_ratio_of_other_pictures_is_noted(tmp_path):
     (lambda d: d["cameras"][0]["perspective"].update(znear=None), "not well-formed"),
     (lambda d: d.update(nodes=[{}]), "no camera"), (lambda d: d["nodes"][0].update(children=[7]), "not well-formed"),
     (lambda d: d["nodes"][1].update(children=[0]), "must form a tree"), (lambda d: d.pop("cameras"), "not well-formed"),
-    (lambda d: d["cameras"][0].update(type="orthographic"), "only perspective"),
+    (lambda d: d["cameras"][0].update(type="fisheye"), "type 'fisheye'; perspective and orthographic cameras are supported"),
+    (lambda d: d["cameras"][0].update(type="orthographic"), "not well-formed"),
+    (lambda d: d["cameras"][0].update(type="orthographic", orthographic={"xmag": 1, "ymag": 0, "znear": 0, "zfar": 9}), "the ymag 0;"),
     (lambda d: d["nodes"][1].update(scale=[1, 1, 0]), "world transform"),
 ])
 def test_malformed_gltf_cameras_are_named(tmp_path, change, message):

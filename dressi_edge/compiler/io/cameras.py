@@ -1,4 +1,4 @@
-"""Pinhole cameras as docs/conventions.md states them: poses and intrinsics in; frozen, checked `Camera`s out."""
+"""Pinhole and orthographic cameras as docs/conventions.md states them: poses and intrinsics in; frozen, checked `Camera`s out."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ import numpy as np
 from ...cache.errors import InputError
 from ...cache.layout import beyond_fp32
 
+KINDS = ("perspective", "orthographic")
 RIGID_TOLERANCE = 1e-3  # poses in text files are often rounded to six digits, or float32
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
     """world_to_camera: (4, 4) rigid, the camera looks along its -z with +y up. fx, fy, cx, cy: pixels of a width x height
-    image. near, far: distances along the view axis, 0 < near < far. Raises InputError for anything else."""
+    image. near, far: distances along the view axis, 0 < near < far.
+
+    kind "orthographic": fx, fy are pixels a unit of the scene, whatever the distance; near < far may be any numbers, and tell only between
+    which depths what is in front is told by depth. Raises InputError for anything else."""
 
     world_to_camera: np.ndarray
     fx: float
@@ -27,8 +31,11 @@ class Camera:
     height: int
     near: float = 0.05
     far: float = 100.0
+    kind: str = "perspective"
 
     def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"camera kind is {self.kind!r:.40}; allowed: {' '.join(KINDS)}")
         matrix = check_rigid(self.world_to_camera, "camera world_to_camera").copy()
         matrix.setflags(write=False)
         object.__setattr__(self, "world_to_camera", matrix)
@@ -37,10 +44,11 @@ class Camera:
             if int(value) != value or value < 1:
                 raise InputError(f"camera {name} is {value}; it must be a whole number of pixels, 1 or more")
             object.__setattr__(self, name, int(value))
+        signed = ("cx", "cy") if self.kind == "perspective" else ("cx", "cy", "near", "far")
         for name in ("fx", "fy", "cx", "cy", "near", "far"):
             value = float(getattr(self, name))
-            if beyond_fp32(value) or (np.float32(value) <= 0.0 and name not in ("cx", "cy")):
-                raise InputError(f"camera {name} is {value}; it must be {'' if name in ('cx', 'cy') else 'above 0 and '}finite in fp32")
+            if beyond_fp32(value) or (np.float32(value) <= 0.0 and name not in signed):
+                raise InputError(f"camera {name} is {value}; it must be {'' if name in signed else 'above 0 and '}finite in fp32")
             object.__setattr__(self, name, value)
         if self.far <= self.near:
             raise InputError(f"camera far is {self.far}; it must be above near, {self.near}")
@@ -63,6 +71,14 @@ class Camera:
 
     def projection_rows(self) -> np.ndarray:
         """(4, 4): takes (x_cam, y_cam, z_cam, 1) to Vulkan clip coordinates (x, y, z, w), y down and depth in [0, 1]."""
+        if self.kind == "orthographic":
+            depth = 1.0 / (self.far - self.near)
+            return np.array([
+                [2.0 * self.fx / self.width, 0.0, 0.0, 2.0 * self.cx / self.width - 1.0],
+                [0.0, -2.0 * self.fy / self.height, 0.0, 2.0 * self.cy / self.height - 1.0],
+                [0.0, 0.0, -depth, -depth * self.near],
+                [0.0, 0.0, 0.0, 1.0],
+            ])
         depth = self.far / (self.far - self.near)
         return np.array([
             [2.0 * self.fx / self.width, 0.0, 1.0 - 2.0 * self.cx / self.width, 0.0],
@@ -123,17 +139,32 @@ def focal(fov_degrees: float, pixels: int) -> float:
 def look_at(eye: Sequence[float], target: Sequence[float], up: Sequence[float], fov_y_degrees: float, width: int, height: int,
             near: float = 0.05, far: float = 100.0) -> Camera:
     """A camera at `eye` that sees `target` in the centre of the image, with square pixels."""
+    length = focal(fov_y_degrees, height)
+    return Camera(_towards(eye, target, up), length, length, width / 2.0, height / 2.0, width, height, near, far)
+
+
+def look_along(eye: Sequence[float], target: Sequence[float], up: Sequence[float], span: float, width: int, height: int,
+               near: float = 0.05, far: float = 100.0) -> Camera:
+    """An orthographic camera that looks from `eye` towards `target` and has it in the centre of the image, with square pixels; the image
+    is `span` units of the scene high. Depths count from the eye."""
+    if isinstance(span, bool) or not isinstance(span, int | float | np.number) or not span > 0:
+        raise InputError(f"look_along: span is {span!r:.40}; a number above 0 is needed")
+    length = height / float(span)
+    return Camera(_towards(eye, target, up), length, length, width / 2.0, height / 2.0, width, height, near, far, "orthographic")
+
+
+def _towards(eye: Sequence[float], target: Sequence[float], up: Sequence[float]) -> np.ndarray:
+    """World to camera, of a camera at `eye` with `target` on its axis."""
     eye, target, up = (np.asarray(point, dtype=np.float64) for point in (eye, target, up))
     back = eye - target
     right = np.cross(up, back)
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(up) * np.linalg.norm(back):
-        raise InputError(f"look_at with up {up.tolist()} along the line from eye {eye.tolist()} to target {target.tolist()}; "
+        raise InputError(f"a camera with up {up.tolist()} along the line from eye {eye.tolist()} to target {target.tolist()}; "
                          "give another up or move the eye")
     back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3] = np.stack([right, np.cross(back, right), back, eye], axis=1)
-    length = focal(fov_y_degrees, height)
-    return Camera(inverse_rigid(pose), length, length, width / 2.0, height / 2.0, width, height, near, far)
+    return inverse_rigid(pose)
 
 
 def orbit(n: int, elevations: Sequence[float], distance: float, fov_y_degrees: float, size: tuple[int, int],

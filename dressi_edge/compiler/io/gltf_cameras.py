@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ...cache.errors import InputError, note
-from .cameras import Camera, check_rigid, focal, inverse_rigid, rotation_matrix
+from .cameras import KINDS, Camera, check_rigid, focal, inverse_rigid, rotation_matrix
 from .text import is_file, parse_json, read_bytes, shown
 
 
 def gltf_cameras(path: str | Path, width: int, height: int) -> tuple[tuple[Camera, ...], tuple[str, ...]]:
-    """Perspective cameras of a .gltf or .glb file for width x height images, in order of the scene's nodes, and the nodes' names.
+    """Cameras of a .gltf or .glb file for width x height images, in order of the scene's nodes, and the nodes' names.
 
-    Pixels are square and yfov spans the height. Scale above a camera is ignored, as glTF says. A missing zfar is 1000 znear.
+    Pixels are square; yfov, or twice ymag, spans the height. Scale above a camera is ignored, as glTF says. A missing zfar is 1000 znear.
     """
     path = Path(path)
     document = _gltf(path)
@@ -84,16 +84,23 @@ def _node_matrix(node: dict) -> np.ndarray:
 
 
 def _gltf_camera(camera: dict, world: np.ndarray, width: int, height: int, where: str) -> Camera:
-    if camera.get("type") != "perspective":
-        raise InputError(f"{where} is a camera of type {camera.get('type')!r:.40}; only perspective cameras are supported")
-    lens = camera["perspective"]
+    kind = camera.get("type")
+    if kind not in KINDS:
+        raise InputError(f"{where} is a camera of type {kind!r:.40}; {' and '.join(KINDS)} cameras are supported")
+    lens = camera[kind]
     pose = world.copy()
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     pose = check_rigid(pose, f"{where} world transform")
-    length, near = focal(math.degrees(lens["yfov"]), height), lens["znear"]
-    far = lens.get("zfar", 1000.0 * near)
-    aspect = lens.get("aspectRatio", width / height)
+    near = lens["znear"]
+    if kind == "orthographic":
+        far, across, up = lens["zfar"], abs(lens["xmag"]), abs(lens["ymag"])
+        if not up > 0:
+            raise InputError(f"{where} has the ymag {lens['ymag']!r:.40}; a number other than 0 is needed")
+        length, aspect, taken = height / (2.0 * up), across / up, "ymag"
+    else:
+        length, far = focal(math.degrees(lens["yfov"]), height), lens.get("zfar", 1000.0 * near)
+        aspect, taken = lens.get("aspectRatio", width / height), "yfov"
     if abs(aspect * height - width) > 1.0:
-        note(f"{where} has the aspect ratio {aspect:g}, but the pictures are {width}x{height}; yfov is taken, and pixels as square")
-    return Camera(inverse_rigid(pose), length, length, width / 2.0, height / 2.0, width, height, near, far)
+        note(f"{where} has the aspect ratio {aspect:g}, but the pictures are {width}x{height}; {taken} is taken, and pixels as square")
+    return Camera(inverse_rigid(pose), length, length, width / 2.0, height / 2.0, width, height, near, far, kind)

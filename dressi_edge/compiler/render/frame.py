@@ -23,14 +23,17 @@ from .surface import Surface
 
 class Frame:
     """views: those that are drawn; atlas: their cells. all_views: the cells of all views of the scene, chosen: which of them this frame
-    draws (an int of extent 1x1), None for all. encode: from linear radiance to the colours of the picture. step: of the phase, an int.
+    draws (an int of extent 1x1), None for all. sizes: (views of the scene, 2), width and height of each picture, where some are smaller
+    than their cells. encode: from linear radiance to the colours of the picture. step: of the phase, an int.
     who: of part number k, words for errors of its material."""
 
     def __init__(self, parts: Parts, views: ViewTable, atlas: Atlas, renderer: Renderer, background: Node, *,
-                 all_views: Atlas | None = None, chosen: Node | None = None, encode: Callable[[Node], Node] | None = None,
-                 step: Node | None = None, who: Callable[[int], str] = lambda k: f"the material of part {k}"):
+                 all_views: Atlas | None = None, chosen: Node | None = None, sizes: np.ndarray | None = None,
+                 encode: Callable[[Node], Node] | None = None, step: Node | None = None,
+                 who: Callable[[int], str] = lambda k: f"the material of part {k}"):
         self.parts, self.views, self.atlas, self.renderer, self.background = parts, views, atlas, renderer, background
         self.all_views, self.chosen, self.encode, self.step, self._who = all_views or atlas, chosen, encode, step, who
+        self._sizes = sizes
         self._weights: dict[int, list[Node]] = {}
         self._surfaces: dict[tuple[int, int], Surface] = {}
 
@@ -187,6 +190,21 @@ class Frame:
         a = self.atlas
         corner = [(v % a.columns * a.width, v // a.columns * a.height) for v in range(a.views)]
         return lookup(table, self.view, constant_table([(x, y, x + a.width, y + a.height) for x, y in corner]))
+
+    @cached_property
+    def pixel(self) -> Node:
+        """vec2: the pixel's centre in its picture, from the upper left corner."""
+        a = self.atlas
+        return apply("cell_position", extent=a.extent, cell_w=a.width, cell_h=a.height) + compose(a.width / 2, a.height / 2)
+
+    @cached_property
+    def valid(self) -> Node:
+        """float: 1 in the picture of the pixel's camera, 0 beside it, where its cell is larger. Everything is drawn there too, as if the
+        picture were larger; a mask for losses and metrics that shall not see it."""
+        if self._sizes is None:
+            return apply("broadcast", 1.0, extent=self.atlas.extent)
+        size = self.per_view(self._sizes)
+        return to_float((self.pixel.x < size.x) & (self.pixel.y < size.y))
 
     @property
     def cell(self) -> tuple[int, int]:

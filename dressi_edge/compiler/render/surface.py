@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...cache.errors import InputError
-from ..graph.functions import apply, compose, constant_table, dot, lookup, maximum, normalize, sqrt
+from ..graph.functions import compose, constant_table, dot, lookup, maximum, normalize, sqrt
 from ..graph.ir import Node
 from .normals import unit_face_normals, vertex_normals
 from .texture import sample_texture
@@ -88,19 +88,24 @@ class Surface:
 
     @cached_property
     def eye(self) -> Node:
-        """The centre of the pixel's camera."""
+        """The centre of the pixel's camera; of an orthographic one, where its depths count from."""
         return self.frame.of_view(self.frame.views.position())
 
     @cached_property
     def to_eye(self) -> Node:
-        """The direction from the surface to the eye, of length 1."""
-        return normalize(self.eye - self.position)
+        """The direction from the surface to the eye, of length 1; of an orthographic camera, against the way it looks."""
+        frame = self.frame
+        return frame.views.either(lambda: normalize(frame.of_view(frame.views.rows[2].xyz)),
+                                  lambda: normalize(self.eye - self.position), frame.of_view)
 
     @cached_property
     def distance(self) -> Node:
-        """From the eye, along the ray."""
-        d = self.eye - self.position
-        return sqrt(maximum(dot(d, d), 1e-30))
+        """From the eye, along the ray; of an orthographic camera, the depth."""
+        def from_eye() -> Node:
+            d = self.eye - self.position
+            return sqrt(maximum(dot(d, d), 1e-30))
+
+        return self.frame.views.either(lambda: self.depth, from_eye, self.frame.of_view)
 
     @cached_property
     def depth(self) -> Node:
@@ -154,6 +159,4 @@ class Surface:
 
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""
-        atlas = self.frame.atlas
-        at = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
-        return at + compose(atlas.width / 2, atlas.height / 2)
+        return self.frame.pixel

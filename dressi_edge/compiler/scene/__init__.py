@@ -1,7 +1,7 @@
 """What a user builds with: scenes and problems in, programs out. `from dressi_edge.compiler.scene import F, Scene, Adam, ...` is all there
 is to import; `F` has every op of the graph by name (docs/guide.md)."""
 from ..graph import functions as F
-from ..io.cameras import Camera, look_at, orbit
+from ..io.cameras import Camera, look_along, look_at, orbit
 from ..io.meshes import Mesh, load_mesh
 from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
@@ -39,6 +39,6 @@ __all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "F
            "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene", "Schedule", "Sgd",
            "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier",
            "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2",
-           "landmarks", "limited", "linear_model", "load_mesh", "load_views", "look_at", "mean_square", "normal_consistency",
+           "landmarks", "limited", "linear_model", "load_mesh", "load_views", "look_along", "look_at", "mean_square", "normal_consistency",
            "normal_loss", "orbit", "pear", "pyramid_l1", "rigid", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state",
            "subdivide", "uniform_laplacian"]

@@ -58,22 +58,22 @@ class Parameter:
 
 
 class Scene:
-    """cameras: one for each view, all of one size. background: three numbers, or pictures (views, height, width, 3). encode: from linear
-    radiance to the colours of the pictures, such as `tone.encode_srgb`; None leaves it linear. Raises InputError, GraphError; both name
-    what was given and, where it is known, the line."""
+    """cameras: one for each view. Where their pictures have different sizes every view is as large as the largest, and each picture is in
+    its upper left corner: `padded` makes such pictures, `frame.valid` is 1 inside. background: three numbers, or pictures (views, height,
+    width, 3), or a list of one for each camera. encode: from linear radiance to the colours of the pictures, such as `tone.encode_srgb`;
+    None leaves it linear. Raises InputError, GraphError; both name what was given and, where it is known, the line."""
 
     def __init__(self, cameras: Sequence[Camera], background=(0.0, 0.0, 0.0), encode: Callable[[Node], Node] | None = None,
                  program: Program | None = None):
         self.cameras = tuple(cameras)
         if not self.cameras:
             raise InputError("no cameras; at least one view is needed")
-        sizes = {(c.width, c.height) for c in self.cameras}
-        if len(sizes) != 1:
-            raise InputError(f"cameras have sizes {sorted(sizes)}; one size is needed")
-        self.width, self.height = sizes.pop()
+        sizes = np.array([(c.width, c.height) for c in self.cameras])
+        self.width, self.height = map(int, sizes.max(0))
+        self._sizes = sizes if (sizes != sizes[0]).any() else None
         self.program, self.encode = program or Program(), encode
         self.atlas = Atlas.of(self.width, self.height, len(self.cameras))
-        self.views = fixed_views(self.cameras)
+        self.views = fixed_views(self.cameras, (self.width, self.height))
         self.parameters: dict[str, Parameter] = {}
         self.parts: list[Part] = []
         self.phases: list[str] = []
@@ -126,7 +126,25 @@ class Scene:
             raise InputError(f"{who} has NaN or Inf in it; finite numbers are needed")
         return array
 
+    def padded(self, pictures: Sequence[np.ndarray], fill: float = 0.0) -> np.ndarray:
+        """Pictures (h, w) or (h, w, c), each of its camera's size, as one array (views, height, width[, c]): each in the upper left corner
+        of its view, `fill` beside it. Raises InputError."""
+        arrays = [self._array(f"picture {k}", x) for k, x in enumerate(pictures)]
+        if len(arrays) != len(self.cameras):
+            raise InputError(f"{len(arrays)} pictures for {len(self.cameras)} cameras; one for each is needed")
+        tail = arrays[0].shape[2:]
+        for k, (x, c) in enumerate(zip(arrays, self.cameras)):
+            if x.shape != (c.height, c.width, *tail) or len(tail) > 1:
+                raise InputError(f"picture {k} has shape {x.shape}; its camera's is {(c.height, c.width)}, with as many channels as the "
+                                 "others have")
+        out = np.full((len(arrays), self.height, self.width, *tail), float(fill))
+        for view, x in zip(out, arrays):
+            view[:x.shape[0], :x.shape[1]] = x
+        return out
+
     def _background(self, background) -> Node:
+        if isinstance(background, (list, tuple)) and any(np.ndim(x) > 1 for x in background):
+            background = self.padded(background)
         array = self._array("background", background)
         if array.shape == (3,):
             return compose(*map(float, array))
@@ -156,7 +174,7 @@ class Scene:
         of what they see; without one each about its eye (`camera.posed_views`)."""
         if self._frames:
             raise InputError("cameras are posed after a frame was made; pose them first")
-        self.views = posed_views(fixed_views(self.cameras), rotation, translation, pivot)
+        self.views = posed_views(fixed_views(self.cameras, (self.width, self.height)), rotation, translation, pivot)
 
     def step(self, phase: str) -> Node:
         """How many steps of a phase are done: an int of extent 1x1."""
@@ -186,7 +204,8 @@ class Scene:
         views, atlas = (self.views, self.atlas) if chosen is None else (self.views.choose(chosen), Atlas(self.width, self.height, 1, 1))
         parts = self.parts
         frame = Frame(Parts(tuple(parts)), views, atlas, renderer or Outline(), self.background, all_views=self.atlas, chosen=chosen,
-                      encode=self.encode, step=step, who=lambda k: f"part {parts[k].name}: its material {place(parts[k].material)}")
+                      sizes=self._sizes, encode=self.encode, step=step,
+                      who=lambda k: f"part {parts[k].name}: its material {place(parts[k].material)}")
         frame.background = frame.at(frame.background)
         self._frames.append(frame)
         return frame
