@@ -23,7 +23,7 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.runtime import checkpoint as checkpoints
 from dressi_edge.runtime import vk
-from dressi_edge.runtime.memory import image_bytes
+from dressi_edge.runtime.memory import Images, image_bytes
 
 pytest_plugins = ["gpu", "sessions"]
 
@@ -371,6 +371,22 @@ def test_images_beyond_the_memory_of_the_device_are_refused_before_any_is_made(g
                 runtime.load(bundle, gpu.device)
             with pytest.raises(DeviceError, match=told.replace("llvmpipe.*", "llvmpipe.* as lavapipe")):
                 runtime.load(bundle, gpu.device, emulate="lavapipe")
+    gpu.silent()
+
+
+def test_many_tiny_images_are_weighed_before_they_are_made(gpu, monkeypatch):
+    """A driver takes far more for each than its texels are: one of each kind tells how much."""
+    made, real = [], vk.CreateImage
+    monkeypatch.setattr(vk, "CreateImage", lambda *args: made.append(args) or real(*args))
+    record = {"format": 100, "width": 1, "height": 1, "slots": 2, "usage": 23, "data": None}
+    with monkeypatch.context() as m:
+        m.setattr(gpu.device, "heaps", [(1 << 20, 1)])
+        with pytest.raises(DeviceError, match="the images of this bundle need .* MB; llvmpipe.* has 1.0 MB"):
+            Images(gpu.device, [record] * 60_000, 126)
+    assert len(made) == 1
+    images = Images(gpu.device, [record, record], 126)
+    assert len(made) == 6 and images.bytes > 0
+    images.close()
     gpu.silent()
 
 

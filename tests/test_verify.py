@@ -8,6 +8,7 @@ import copy
 import dataclasses
 import random
 import struct
+import types
 
 import pytest
 from profile_bundles import NAMES
@@ -15,7 +16,7 @@ from profile_bundles import NAMES
 from dressi_edge.cache import bundle
 from dressi_edge.cache import vulkan as v
 from dressi_edge.cache.bundle_check import check_description
-from dressi_edge.cache.errors import BundleError
+from dressi_edge.cache.errors import BundleError, DeviceError, PackError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.limits import LIMITS
 from dressi_edge.cache.profile import Profile
@@ -24,8 +25,9 @@ from dressi_edge.cache.spirv_interface import parse
 from dressi_edge.cache.verify import violations
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.graph.optable import apply
+from dressi_edge.runtime.session import Session
 
-pytest_plugins = ["profile_bundles"]
+pytest_plugins = ["gpu", "profile_bundles"]
 
 HUGE = 1 << 30
 R32, RG32, RGBA32 = v.FORMATS["R32_SFLOAT"], v.FORMATS["R32G32_SFLOAT"], v.FORMATS["R32G32B32A32_SFLOAT"]
@@ -63,6 +65,51 @@ def test_what_a_bundle_says_it_needs_is_what_is_counted(compiled, name):
     for limit, need in needs.items():
         lines = violations(b.description, dataclasses.replace(exact, limits={**exact.limits, limit: need - 1}), b.interfaces)
         assert lines and all(line.endswith(f"allows {need - 1} ({limit})") for line in lines), limit
+
+
+@pytest.mark.parametrize("name", ["limit4", "lavapipe"])
+def test_what_shaders_take_for_granted_is_needed(compiled, gpu, name):
+    """The grid of corners goes into the culling margin: a device with a coarser one would punch holes, and does not take the bundle."""
+    b = compiled(name)
+    bits = Profile.load(name).limit("subPixelPrecisionBits")
+    assert b.description["needs"]["limits"]["subPixelPrecisionBits"] == bits
+    interfaces = {key: max((getattr(i, key) for i in b.interfaces if i.stage == stage), default=0)
+                  for key, stage in (("output_components", VERTEX), ("input_components", FRAGMENT))}
+    assert b.description["needs"]["limits"]["maxVertexOutputComponents"] == interfaces["output_components"] > 0
+    assert b.description["needs"]["limits"]["maxFragmentInputComponents"] == interfaces["input_components"] > 0
+    less = dataclasses.replace(roomy(), limits={**roomy().limits, "subPixelPrecisionBits": bits - 1})
+    line = (f"what its shaders do needs {bits} bits of the grid to which corners are rounded; profile roomy allows {bits - 1} "
+            "(subPixelPrecisionBits)")
+    assert violations(b.description, less, b.interfaces) == [line]
+    with pytest.raises(DeviceError, match=f"does not fit .*needs {bits} bits of the grid.* allows {bits - 1} "):
+        limits = {**gpu.device.limits, "subPixelPrecisionBits": bits - 1}
+        Session(b, types.SimpleNamespace(**{**gpu.device.__dict__, "limits": limits, "format_features": gpu.device.format_features}))
+
+
+def test_what_relies_on_no_grid_and_no_filter_needs_neither(tmp_path):
+    program = Program()
+    x = program.input("x", Layout("image", "float", 4, 4), 0.5)
+    program.plan("look", {}, {"y": (x * 2.0, Layout("image", "float", 4, 4))})
+    compile_program(program, "lavapipe", tmp_path / "x")
+    limits = bundle.read(tmp_path / "x").description["needs"]["limits"]
+    assert not limits.keys() & {"subPixelPrecisionBits", "subTexelPrecisionBits"}
+
+
+def test_the_weights_of_a_filter_are_needed_where_one_is_used(tmp_path):
+    for name, needed in (("lavapipe", True), ("limit4", False)):
+        limits = look(name, tmp_path / name).description["needs"]["limits"]
+        assert limits.get("subTexelPrecisionBits") == (Profile.load(name).limit("subTexelPrecisionBits") if needed else None)
+
+
+def test_what_does_not_fit_the_profile_it_is_made_for_is_not_written(tmp_path):
+    program = Program()
+    texture = program.input("texture", Layout("image", "float", 8192, 1), 0.5)
+    uv = program.input("uv", Layout("image", "vec2", 4, 4), 0.25)
+    program.plan("look", {}, {"y": (apply("sample", texture, uv, wrap="clamp"), Layout("image", "float", 4, 4))})
+    with pytest.raises(PackError, match="needs 8192 texels a side; profile vulkan_min allows 4096 .maxImageDimension2D.; take less"):
+        compile_program(program, "vulkan_min", tmp_path / "x.dressi")
+    assert list(tmp_path.iterdir()) == []
+    compile_program(program, "lavapipe", tmp_path / "x.dressi")
 
 
 def test_a_bundle_for_more_breaks_less_with_one_line_each(compiled):

@@ -94,8 +94,8 @@ static void check_needs(Reader *r, const Node *root) {
 }
 
 /* A list of numbers, each of those allowed. */
-static Indices numbers(Reader *r, const Node *root, const char *key, const char *allowed) {
-    const Node *items = open_list(r, root, key, -1, MAX_ITEMS);
+static Indices numbers(Reader *r, const Node *root, const char *key, uint32_t most, const char *allowed) {
+    const Node *items = open_list(r, root, key, -1, most);
     Indices found = {items->count, make(r, items->count, sizeof(uint32_t))};
     for EACH(r, k, items->count) found.at[k] = number_of(r, items->is.items + k, allowed);
     pop(r);
@@ -151,6 +151,8 @@ static void check_subpass(Reader *r, const Node *node, const Pass *pass, Subpass
     for (uint32_t k = 0; k < subpass->colors.count; k++) written[subpass->colors.at[k]] = true;
     subpass->depth = number(r, node, "depth", -1, (int64_t)pass->attachment_count - 1);
     if (subpass->depth >= 0 && pass->attachments[subpass->depth].format) refuse(r, ".depth is no depth attachment");
+    for (const Subpass *other = pass->subpasses; subpass->depth >= 0 && other < subpass; other++)
+        if (other->depth >= 0) refuse(r, ".depth: a second subpass with depth; nothing orders the two");
 }
 
 static void check_pass(Reader *r, const Node *node, Pass *pass) {
@@ -299,21 +301,21 @@ void check_description(Reader *r, const Node *root) {
     pop(r);
     if (!r->bundle->blobs) check_blobs(r, r->top);
     check_needs(r, root);
-    v->depth_formats = numbers(r, root, "depth_formats", "126 125");
-    const Node *images = open_list(r, root, "images", -1, MAX_ITEMS);
+    v->depth_formats = numbers(r, root, "depth_formats", MAX_ITEMS, "126 125");
+    const Node *images = open_list(r, root, "images", -1, MAX_OBJECTS);
     v->images = make(r, v->image_count = images->count, sizeof(Image));
     for EACH(r, k, images->count) check_image(r, images->is.items + k, v->images + k);
     pop(r);
-    v->samplers = numbers(r, root, "samplers", "0 2");
-    const Node *shaders = open_list(r, root, "shaders", -1, MAX_ITEMS);
+    v->samplers = numbers(r, root, "samplers", MAX_OBJECTS, "0 2");
+    const Node *shaders = open_list(r, root, "shaders", -1, MAX_OBJECTS);
     v->shaders = (Indices){shaders->count, make(r, shaders->count, sizeof(uint32_t))};
     for EACH(r, k, shaders->count) v->shaders.at[k] = integer(r, shaders->is.items + k, 0, (int64_t)r->bundle->blob_count - 1);
     pop(r);
-    const Node *passes = open_list(r, root, "passes", -1, MAX_ITEMS);
+    const Node *passes = open_list(r, root, "passes", -1, MAX_OBJECTS);
     v->passes = make(r, v->pass_count = passes->count, sizeof(Pass));
     for EACH(r, k, passes->count) check_pass(r, passes->is.items + k, v->passes + k);
     pop(r);
-    const Node *pipelines = open_list(r, root, "pipelines", -1, MAX_ITEMS);
+    const Node *pipelines = open_list(r, root, "pipelines", -1, MAX_OBJECTS);
     v->pipelines = make(r, v->pipeline_count = pipelines->count, sizeof(Pipeline));
     for EACH(r, k, pipelines->count) check_pipeline(r, pipelines->is.items + k, v->pipelines + k);
     pop(r);

@@ -1,5 +1,5 @@
 /* The flow of data: plans read what a constant, an input, a state, an earlier stage or a plan that they need has filled; they write what
-   is theirs, wait where they must, and say what they read. As `_dataflow` in dressi_edge/cache/bundle_check.py. */
+   is theirs, wait where they must, and say what they read. As `check_dataflow` in dressi_edge/cache/bundle_plans.py. */
 
 #include "inside.h"
 
@@ -77,6 +77,15 @@ static void check_stage_flow(Reader *r, uint32_t k, const Stage *stage, Flow *f,
         attached[ref] = now;
         hazard |= f->wrote[ref] >= *waited || f->read[ref] >= *waited;
     }
+    int64_t outside = -1;
+    for (uint32_t s = 0; s < v->passes[stage->pass].subpass_count; s++)
+        for (uint32_t d = 0; d < stage->subpasses[s].count; d++) {
+            int64_t ref = stage->subpasses[s].draws[d].count;
+            if (ref >= 0 && f->given[ref] && (outside < 0 || ref < outside)) outside = ref;
+        }
+    if (outside >= 0)
+        refuse(r, " draws as often as image %lld says, which is given from outside; what a stage makes is allowed",
+               (long long)outside / 2);
     Indices sampled = samples_of(r, stage, f, attached, now);
     check_samples(r, k, sampled, f, reads);
     for (uint32_t j = 0; j < sampled.count; j++) hazard |= f->wrote[sampled.at[j]] >= *waited;

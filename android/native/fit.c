@@ -208,9 +208,10 @@ static uint32_t limit_of(const dressi_device *device, int k) {
     const VkPhysicalDeviceLimits *l = &device->properties.limits;
     const uint32_t found[LIMIT_COUNT] = { /* as LIMIT_NAMES */
         l->maxColorAttachments, l->maxDescriptorSetInputAttachments, l->maxDescriptorSetSampledImages, l->maxDescriptorSetSamplers,
-        l->maxFragmentCombinedOutputResources, l->maxFragmentOutputAttachments, l->maxFramebufferHeight, l->maxFramebufferWidth,
-        l->maxImageDimension2D, l->maxPerStageDescriptorInputAttachments, l->maxPerStageDescriptorSampledImages,
-        l->maxPerStageDescriptorSamplers, l->maxPerStageResources};
+        l->maxFragmentCombinedOutputResources, l->maxFragmentInputComponents, l->maxFragmentOutputAttachments, l->maxFramebufferHeight,
+        l->maxFramebufferWidth, l->maxImageDimension2D, l->maxPerStageDescriptorInputAttachments, l->maxPerStageDescriptorSampledImages,
+        l->maxPerStageDescriptorSamplers, l->maxPerStageResources, l->maxVertexOutputComponents, l->subPixelPrecisionBits,
+        l->subTexelPrecisionBits};
     return found[k];
 }
 
@@ -272,6 +273,9 @@ static VkFormat misfits(Count *c) {
             snprintf(where, sizeof where, "%.200s.stages[%u]", v->plans[p].name, s);
             count_stage(c, where, v->plans[p].stages + s);
         }
+    LIMIT(c, "what its shaders do", (uint64_t)v->needs_limits[LIMIT_COUNT - 2], "bits of the grid to which corners are rounded",
+          subPixelPrecisionBits);
+    LIMIT(c, "what its shaders do", (uint64_t)v->needs_limits[LIMIT_COUNT - 1], "bits of the weights of a filter", subTexelPrecisionBits);
     if (!c->lines) compare_needs(c);
     if (!c->lines) compare_memory(c);
     return c->lines ? VK_FORMAT_UNDEFINED : choose_depth(c);

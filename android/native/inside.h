@@ -97,7 +97,7 @@ void pack_text(Packed *packed, const char *text);
 
 /* ---- A bundle ---- */
 
-enum { MAX_VARIANTS = 16, MAX_SIDE = 1 << 16, MAX_ITEMS = 1 << 20, MAX_LOCATIONS = 64, LIMIT_COUNT = 13, FORMAT_COUNT = 9 };
+enum { MAX_VARIANTS = 16, MAX_SIDE = 1 << 16, MAX_ITEMS = 1 << 20, MAX_OBJECTS = 1 << 16, MAX_LOCATIONS = 64, LIMIT_COUNT = 17, FORMAT_COUNT = 9 };
 
 typedef struct Indices { uint32_t count, *at; } Indices;
 typedef struct Blob { uint64_t offset, size; const uint8_t *digest; } Blob;

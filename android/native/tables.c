@@ -4,9 +4,10 @@
 
 const char *const LIMIT_NAMES[LIMIT_COUNT] = {
     "maxColorAttachments", "maxDescriptorSetInputAttachments", "maxDescriptorSetSampledImages", "maxDescriptorSetSamplers",
-    "maxFragmentCombinedOutputResources", "maxFragmentOutputAttachments", "maxFramebufferHeight", "maxFramebufferWidth",
-    "maxImageDimension2D", "maxPerStageDescriptorInputAttachments", "maxPerStageDescriptorSampledImages", "maxPerStageDescriptorSamplers",
-    "maxPerStageResources"};
+    "maxFragmentCombinedOutputResources", "maxFragmentInputComponents", "maxFragmentOutputAttachments", "maxFramebufferHeight",
+    "maxFramebufferWidth", "maxImageDimension2D", "maxPerStageDescriptorInputAttachments", "maxPerStageDescriptorSampledImages",
+    "maxPerStageDescriptorSamplers", "maxPerStageResources", "maxVertexOutputComponents", "subPixelPrecisionBits",
+    "subTexelPrecisionBits"};
 const char *const FORMAT_NAMES[FORMAT_COUNT] = {"R16G16B16A16_SFLOAT", "R16G16_SFLOAT", "R16_SFLOAT", "R32G32B32A32_SFLOAT",
     "R32G32B32A32_SINT", "R32G32_SFLOAT", "R32G32_SINT", "R32_SFLOAT", "R32_SINT"};
 const uint32_t FORMATS[FORMAT_COUNT] = {97, 83, 76, 109, 108, 103, 102, 100, 99};

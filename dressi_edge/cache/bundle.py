@@ -9,7 +9,7 @@ import hashlib
 import os
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import msgpack
 
@@ -108,9 +108,15 @@ def dumps(description: dict, blobs: list[bytes], version: int | None = None) -> 
     return b"".join(parts)
 
 
-def write(path: str | os.PathLike, description: dict, blobs: list[bytes]) -> str:
-    """Write the bundle atomically; its SHA-256 (hexadecimal)."""
+def write(path: str | os.PathLike, description: dict, blobs: list[bytes], check: Callable[[Bundle], None] | None = None) -> str:
+    """Write the bundle atomically; its SHA-256 (hexadecimal). With `check` the very bytes are read back first, and what they hold is
+    given to it, which may raise: what a reader would refuse is never put in place, and what was there stays. Raises BundleError."""
     data = dumps(description, blobs, version_of(description.get("variants", [description])))
+    if check is not None:
+        try:
+            check(loads(data))
+        except BundleError as e:
+            raise BundleError(f"{path}: not written, for every reader would refuse it: {e}") from None
     try:
         replace_file(path, data)
     except OSError as e:

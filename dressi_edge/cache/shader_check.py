@@ -64,6 +64,8 @@ def _check_pipeline(where: str, p: dict, d: dict, interfaces: list[Interface]) -
             if integer[number] not in (None, is_integer):
                 raise BundleError(f"{where}.bindings[{number}]: one shader reads integers, the other floats")
             integer[number] = is_integer
+    if p["topology"] == v.TOPOLOGIES["points"] and not vertex.point_size:
+        raise BundleError(f"{where}.topology: points, of which the vertex shader gives no size")
     for number, (kind, stages, _) in enumerate(p["bindings"]):
         if kind == v.DESCRIPTOR_INPUT_ATTACHMENT and (stages != v.STAGE_FRAGMENT or number not in fragment.bindings):
             raise BundleError(f"{where}.bindings[{number}]: an input attachment belongs to the fragment shader, which must use "

@@ -10,6 +10,7 @@ ends is not promised. Numbers are those of the SPIR-V specification, version 1.6
 """
 from __future__ import annotations
 
+import hashlib
 import struct
 from dataclasses import dataclass, field
 
@@ -19,6 +20,7 @@ from .spirv_module import INPUT, OUTPUT, PRIVATE, UNIFORM_CONSTANT, Module, Type
 from .spirv_types import CONSTANTS, LENGTHS, declare_constant, declare_type
 
 MAX_LOCATIONS = 64  # more than any known device has
+MAX_KNOWN = 1024
 MODELS = {0: v.STAGE_VERTEX, 4: v.STAGE_FRAGMENT}
 CAPABILITIES = frozenset({0, 1, 40, 50, 51})  # Matrix Shader InputAttachment ImageQuery DerivativeControl: need no feature
 SHADER, INPUT_ATTACHMENT = 1, 40
@@ -58,9 +60,20 @@ class Interface:
     point_size: bool = False
 
 
+_KNOWN: dict[bytes, Interface] = {}
+
+
 def parse(data: bytes, where: str = "shader") -> Interface:
-    """The interface of a module. Raises BundleError and nothing else."""
-    return _Declarations(Module(data, where)).interface()
+    """The interface of a module. Raises BundleError and nothing else. Those of modules read lately are remembered by their digest: bundles
+    and variants share many, and what is written is read back."""
+    key = hashlib.sha256(data).digest()
+    found = _KNOWN.get(key)
+    if found is None:
+        found = _Declarations(Module(data, where)).interface()
+        if len(_KNOWN) >= MAX_KNOWN:
+            _KNOWN.clear()
+        _KNOWN[key] = found
+    return found
 
 
 class _Declarations:

@@ -16,6 +16,8 @@ from .spirv_interface import Interface
 
 FORMAT_NAMES = {**v.FORMAT_NAMES, **{number: name for name, number in v.DEPTH_FORMATS.items()}}
 MEMORY_TYPES = 32  # VK_MAX_MEMORY_TYPES: a session allocates once a memory type, and once for its transfers
+DECLARED = {"subPixelPrecisionBits": "bits of the grid to which corners are rounded",
+            "subTexelPrecisionBits": "bits of the weights of a filter"}
 USAGE_FEATURES = ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color"), (v.USAGE_INPUT, "color"))
 # descriptor kind: what it counts against; a combined sampler is a sampler and a sampled image, but one resource
 DESCRIPTORS = {v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER: ("Samplers", "SampledImages"),
@@ -36,6 +38,8 @@ def violations(description: Mapping, profile: Profile, interfaces: Sequence[Inte
                 their bits a pixel together within tile_bits (a single colour always passes, however wide)
     passes      of several subpasses: the distinct colour and input attachments of the pass within max_merged_attachments, and
                 their bits a pixel together within tile_bits
+    shaders     what they take for granted: subPixelPrecisionBits and subTexelPrecisionBits, as the bundle's needs tell, for no
+                count of the description finds them
     pipelines   maxPerStageDescriptor and maxDescriptorSet of Samplers, SampledImages, InputAttachments; maxPerStageResources,
                 of the fragment stage with the colours; maxBoundDescriptorSets; maxVertexOutputComponents and
                 maxFragmentInputComponents, where every location counts four and the built-ins what they have
@@ -70,6 +74,8 @@ class _Count:
             name = plan["name"] if plan["name"].isprintable() else ascii(plan["name"])
             for k, stage in enumerate(plan["stages"]):
                 yield from self.stage(f"{name}.stages[{k}]", stage)
+        for name, words in DECLARED.items():
+            yield from self.limit("what its shaders do", self.d["needs"]["limits"].get(name, 0), words, name)
 
     def limit(self, where: str, found: int, what: str, limit: str) -> Iterator[str]:
         allowed = self.profile.limit(limit)

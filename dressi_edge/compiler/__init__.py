@@ -1,6 +1,7 @@
 """Offline: from a program to a bundle for one device profile, or several. `build` is the compiler, pass by pass."""
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,8 +9,10 @@ from dataclasses import dataclass, replace
 from ..cache import bundle as _bundle
 from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
-from ..cache.errors import ProfileError
+from ..cache.errors import GraphError, PackError, ProfileError
 from ..cache.profile import Profile
+from ..cache.spirv_interface import parse
+from ..cache.verify import violations
 from .backend import dump, spirv
 from .backend.allocate import allocate
 from .backend.check import check, check_kinds
@@ -92,7 +95,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed}}
     if texels:
         description["meta"]["texels"] = texels
-    description |= {"profile": {"name": profile.name, "digest": profile.digest}, "needs": needs(description),
+    interfaces = [parse(blobs[k], f"shaders[{n}]") for n, k in enumerate(description["shaders"])]
+    grid = any(draw.grid for plan in code for stage in plan for substage in stage for draw in substage.draws)
+    description |= {"profile": {"name": profile.name, "digest": profile.digest}, "needs": needs(description, profile, interfaces, grid),
                     "depth_formats": [_v.DEPTH_FORMATS[name] for name in profile.depth_choice()]}
     check_kinds(checked("described", description), packed)
     return Built(description, blobs, packed, glsl)
@@ -110,9 +115,20 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
         raise ProfileError(f"{len(names)} profiles; a bundle is compiled for 1 to {_MAX_VARIANTS}")
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         raise ProfileError(f"profile {twice[0]} is given twice; each variant of a bundle needs one of another name")
+    if not program.plans:
+        raise GraphError("the program has no plan; add one with Program.plan before it is compiled")
     options = replace(options, storage="half" if choose(options.storage, profiles) else "float")
     made = [build(program, p, options, dump.watcher(p.name if len(profiles) > 1 else "")) for p in profiles]
     description, blobs = ((made[0].description, made[0].blobs) if len(made) == 1 else
                           _bundle.combine([(x.description, x.blobs) for x in made]))
-    _bundle.write(path, description, blobs)
+    _bundle.write(path, description, blobs, functools.partial(_keeps, profiles))
     return description
+
+
+def _keeps(profiles: Sequence[Profile], found: _bundle.Bundle) -> None:
+    """Raises PackError unless each variant keeps the profile it was made for."""
+    for b, p in zip(found.variants, profiles):
+        if lines := violations(b.description, p, b.interfaces):
+            more = f"; and {len(lines) - 1} more" if len(lines) > 1 else ""
+            raise PackError(f"the bundle does not fit the profile it is made for: {lines[0]}{more}; take less, or a profile that allows "
+                            "more")

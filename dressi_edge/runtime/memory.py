@@ -41,16 +41,13 @@ class Images:
             raise
 
     def _create(self, depth_format: int) -> None:
+        self._weigh(depth_format)
         pools: dict[int, list[tuple[int, int]]] = {}
         sizes: dict[int, int] = {}
         for r in self.records:
             self.handles.append([])
             for _ in range(r["slots"]):
-                image = vk.CreateImage(self.device.device, vk.VkImageCreateInfo(
-                    imageType=vk.VK_IMAGE_TYPE_2D, format=r["format"] or depth_format, extent=(r["width"], r["height"], 1),
-                    mipLevels=1, arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
-                    usage=r["usage"] | (0 if r["format"] == 0 else v.USAGE_TRANSFER_DST),
-                    sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE, initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
+                image = self._image(r, depth_format)
                 self.handles[-1].append(image)
                 q = vk.GetImageMemoryRequirements(self.device.device, image)
                 kind = find_memory(self.device, q.memoryTypeBits, vk.VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT)
@@ -70,6 +67,30 @@ class Images:
                 image=h, viewType=vk.VK_IMAGE_VIEW_TYPE_2D, format=r["format"] or depth_format,
                 subresourceRange=(ASPECT[depth], 0, 1, 0, 1))) for h in handles
                 if r["usage"] & ~(v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST)])  # a value that no plan reads has none
+
+    def _image(self, r: dict, depth_format: int) -> int:
+        return vk.CreateImage(self.device.device, vk.VkImageCreateInfo(
+            imageType=vk.VK_IMAGE_TYPE_2D, format=r["format"] or depth_format, extent=(r["width"], r["height"], 1),
+            mipLevels=1, arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
+            usage=r["usage"] | (0 if r["format"] == 0 else v.USAGE_TRANSFER_DST),
+            sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE, initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
+
+    def _weigh(self, depth_format: int) -> None:
+        """What all images take, of one of each kind: a driver aligns the smallest to kilobytes. Before there are many of them."""
+        kinds: dict[tuple, list[dict]] = {}
+        for r in self.records:
+            kinds.setdefault(tuple(r[key] for key in ("format", "width", "height", "usage")), []).append(r)
+        sizes: dict[int, int] = {}
+        for records in kinds.values():
+            image = self._image(records[0], depth_format)
+            try:
+                q = vk.GetImageMemoryRequirements(self.device.device, image)
+            finally:
+                vk.DestroyImage(self.device.device, image)
+            kind = find_memory(self.device, q.memoryTypeBits, vk.VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT)
+            whole = sum(r["slots"] for r in records) * (-(-q.size // q.alignment) * q.alignment)
+            sizes[kind] = sizes.get(kind, 0) + whole - (q.alignment - 1)  # the last of each kind may lie closer
+        self._check_heaps(sizes)
 
     def _check_heaps(self, sizes: dict[int, int]) -> None:
         """Before anything is allocated: a driver may promise more than it has, and fail at the first use."""

@@ -55,7 +55,8 @@ class Binding:
 @dataclass(frozen=True)
 class DrawCode:
     """One draw of a substage. `vertices` invocations; `views` instances over the atlas cells (`cell` = width, height, columns).
-    `count`: the node whose last texel says how many of the vertices there are to draw."""
+    `count`: the node whose last texel says how many of the vertices there are to draw. `grid`: it relies on the grid to which devices
+    round corners, which is the profile's subPixelPrecisionBits."""
 
     vertex: str
     fragment: str
@@ -65,6 +66,21 @@ class DrawCode:
     depth: bool = False
     topology: str = "triangles"
     count: Node | None = None
+    grid: bool = False
+
+
+class _Names(dict):
+    """What a snippet may ask for; `asked`: that it asked for the grid of corners."""
+
+    def __init__(self, names: dict, snap: str):
+        super().__init__(names)
+        self.snap, self.asked = snap, False
+
+    def __missing__(self, key: str) -> str:
+        if key != "snap":
+            raise KeyError(key)
+        self.asked = True
+        return self.snap
 
 
 @dataclass(frozen=True)
@@ -157,12 +173,12 @@ class _Emitter:
             return f"T{k}(ivec2((i) & {e.width - 1}, (i) >> {e.width.bit_length() - 1}))"
         return f"T{k}(ivec2((i) % {e.width}, (i) / {e.width}))"
 
-    def names(self, node: Node) -> dict:
+    def names(self, node: Node) -> _Names:
         e = node.extent
         names = {"w": e.width, "h": e.height, "n": e.count, "type": node.vtype, "p": "pixel",
                  "i": f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
-                 f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})",
-                 "snap": literal_glsl(2.0 ** -self.profile.limit("subPixelPrecisionBits"))}
+                 f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})"}
+        names = _Names(names, literal_glsl(2.0 ** -self.profile.limit("subPixelPrecisionBits")))
         for key, value in node.attrs.items():
             names[key] = literal_glsl(value) if isinstance(value, (int, float)) else value
         for k, (param, x) in enumerate(zip(node.op.params, node.inputs)):
@@ -293,7 +309,7 @@ class _Emitter:
             over = {"count": node.inputs[node.op.params.index(draw.count)]} if draw.count else {
                 "views": attrs["views"], "cell": (attrs["cell_w"], attrs["cell_h"], attrs["columns"])}
             draws.append(DrawCode(vertex, self.fragment(body, into), factor * attrs[items], depth=draw.depth_test,
-                                  topology=draw.topology, **over))
+                                  topology=draw.topology, grid=names.asked, **over))
         return draws
 
 

@@ -1,11 +1,17 @@
-"""What a bundle needs of a device, counted from its description: the limits and format features it really uses."""
+"""What a bundle needs of a device: the limits and format features it really uses, counted from its description, and what its shaders
+take for granted."""
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ...cache import vulkan as v
+from ...cache.profile import Profile
+from ...cache.spirv_interface import Interface
 
 
-def needs(d: dict) -> dict:
-    """{"limits": {Vulkan limit: value}, "formats": {format: [features]}}."""
+def needs(d: dict, profile: Profile, interfaces: Sequence[Interface] = (), grid: bool = False) -> dict:
+    """{"limits": {Vulkan limit: value}, "formats": {format: [features]}} of a description for a profile. `interfaces`: of its shaders, in
+    their order. `grid`: a shader relies on the profile's subPixelPrecisionBits; whoever samples with a filter on subTexelPrecisionBits."""
     limits: dict[str, int] = {}
 
     def need(name: str, x: int) -> None:
@@ -35,6 +41,14 @@ def needs(d: dict) -> dict:
         for stage in plan["stages"]:
             need("maxFramebufferWidth", stage["width"])
             need("maxFramebufferHeight", stage["height"])
+    if grid:
+        need("subPixelPrecisionBits", profile.limit("subPixelPrecisionBits"))
+    if any(b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER for p in d["pipelines"] for b in p["bindings"]):
+        need("subTexelPrecisionBits", profile.limit("subTexelPrecisionBits"))
+    for shader in interfaces:
+        vertex = shader.stage == v.STAGE_VERTEX
+        need("maxVertexOutputComponents" if vertex else "maxFragmentInputComponents",
+             shader.output_components if vertex else shader.input_components)
     formats: dict[str, set[str]] = {}
     filtered = {ref // 2 for plan in d["plans"] for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws
                 for ref, b in zip(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"])

@@ -1,9 +1,11 @@
 """A problem as plain data: what lives on the device, what comes in, what each plan updates and gives out.
 
-In: nodes built by `render/` or by the user. Out: a `Program`, which `plan.Assembler` turns into a bundle.
+In: nodes built by `render/` or by the user. Out: a `Program`, which `backend.assembler` turns into a bundle. What no bundle can hold is
+refused here, when it is said.
 """
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -13,6 +15,38 @@ from ...cache.errors import GraphError
 from ...cache.layout import Layout
 from .ir import Extent, Node, topological
 from .optable import apply
+
+MAX_STEPS = 1 << 40
+MAX_SIDE = 1 << 16
+OURS = re.compile(r"\.(prepare(\.\d+)?|enter\d*|leave\d*)$")  # names of plans that the compiler adds
+LISTED = re.compile(r"\.list\d*\.")  # and of copies
+
+
+def check_name(what: str, name) -> None:
+    """Raises GraphError unless a bundle can hold the name: a text of 1 to 200 characters, none of control."""
+    if type(name) is not str:
+        raise GraphError(f"{what} {name!r:.60}: a name is a text")
+    if not 0 < len(name) <= 200 or any(c < " " or "\x7f" <= c < "\xa0" for c in name) or not name.isascii() and not _utf8(name):
+        raise GraphError(f"{what} {name[:60]!r} has {len(name)} characters; a name has 1 to 200, none of them a line end or another of "
+                         "control")
+
+
+def _utf8(name: str) -> bool:
+    try:
+        name.encode()
+    except UnicodeEncodeError:  # half of a surrogate pair
+        return False
+    return True
+
+
+def check_layout(what: str, name: str, layout: Layout) -> None:
+    """Raises GraphError unless an image can hold the layout: each side from 1 to 65536 texels."""
+    for key in ("width", "height", "count", "columns"):
+        if type(x := getattr(layout, key)) is not int or x < 1:
+            raise GraphError(f"{what} {name}: its layout has {key} {x!r:.40}; a whole number above 0 is needed")
+    width, height = layout.size
+    if max(width, height) > MAX_SIDE:
+        raise GraphError(f"{what} {name} needs an image of {width} x {height}; at most {MAX_SIDE} texels a side are allowed")
 
 
 def extent_of(layout: Layout) -> Extent:
@@ -56,6 +90,10 @@ class Program:
     meta: dict = field(default_factory=dict)
 
     def _leaf(self, role: str, name: str, layout: Layout, initial, narrow: bool = False) -> Node:
+        check_name(role, name)
+        check_layout(role, name, layout)
+        if LISTED.search(name):
+            raise GraphError(f"{role} {name}: names with .list. in them are the compiler's; choose another")
         if name in self.values:
             raise GraphError(f"{role} {name}: the name is taken by {self.roles[name]} {self.values[name].node!r}")
         node = apply(role, name=name, vtype=layout.vtype, extent=extent_of(layout))
@@ -77,7 +115,17 @@ class Program:
     def plan(self, name: str, updates: Mapping[str, Node] = {}, outputs: Mapping[str, tuple[Node, Layout]] = {},  # noqa: B006
              dynamic: frozenset[str] | None = None, steps: int = 0, group: str = "") -> None:
         """Add a plan. `outputs`: name -> (node, layout). `dynamic` defaults to the updated states; None of a plan without updates
-        means that everything may change."""
+        means that everything may change. Raises GraphError, and nothing is added then."""
+        check_name("plan", name)
+        if OURS.search(name):
+            raise GraphError(f"plan {name}: names that end in .{name.rpartition('.')[2]} are the compiler's; choose another")
+        if any(spec.name == name for spec in self.plans):
+            raise GraphError(f"plan {name}: there is a plan of this name; choose another")
+        if type(steps) is not int or not 0 <= steps <= MAX_STEPS:
+            raise GraphError(f"plan {name}: steps is {steps!r:.40}; a whole number from 0 (no wish) to {MAX_STEPS} is needed")
+        group = group or name
+        check_name("group", group)
+        new: dict[str, Value] = {}
         for key, node in updates.items():
             state = self.values.get(key)
             if state is None or self.roles[key] != "state":
@@ -89,15 +137,26 @@ class Program:
                 raise GraphError(f"plan {name}: output {key} is {node!r}; {layout.vtype} {extent_of(layout)} is needed")
             known = self.values.get(key)
             if known is None:
-                self.values[key] = Value(node, layout)
-                self.roles[key] = "output"
+                check_name("output", key)
+                check_layout("output", key, layout)
+                new[key] = Value(node, layout)
             elif self.roles[key] != "output" or known.layout != layout:
                 raise GraphError(f"output {key}: the name is taken by {self.roles[key]} {known.node!r}")
         roots = [*updates.values(), *(node for node, _ in outputs.values())]
         if not roots:
             raise GraphError(f"plan {name} updates nothing and gives nothing out")
+        self._check_losses(name if updates else None, new)
         if dynamic is None:
             dynamic = frozenset(updates) or frozenset(
                 n.attrs["name"] for n in topological(roots) if n.op.name in ("input", "state"))
-        self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps,
-                                   group or name))
+        self.values |= new
+        self.roles |= dict.fromkeys(new, "output")
+        self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps, group))
+
+    def _check_losses(self, phase: str | None, new: Mapping[str, Value]) -> None:
+        """An output called as a phase and ".loss" is what `Session.loss` and the command line take for one number."""
+        phases = {spec.name for spec in self.plans if spec.updates} | {phase} - {None}
+        for key, value in (self.values | new).items():
+            if key.endswith(".loss") and key[:-5] in phases and (value.layout.kind, value.layout.vtype) != ("unit", "float"):
+                raise GraphError(f"{key} is the loss of phase {key[:-5]}, which is one float; give it another name, or the layout unit of "
+                                 "float")

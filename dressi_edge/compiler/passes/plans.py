@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from ...cache.bundle_check import MAX_NEEDS
+from ...cache.bundle_plans import MAX_NEEDS
 from ...cache.copies import ENTER, LEAVE, OUTPUT, PHASE
 from ..graph.ir import Extent, Node, topological
 from ..graph.optable import apply

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from ...cache.bundle_check import MAX_NEEDS
+from ...cache.bundle_plans import MAX_NEEDS
 from ..graph.ir import Node, intern, topological
 from ..graph.optable import OWN, apply
 
