@@ -199,7 +199,7 @@ def test_400_steps_bring_a_pose_back(gpu, tmp_path, monkeypatch):
                 m.setattr(scene_module, "posed_views", lambda base, rotation, translation, _: posed_views(base, rotation, translation))
             problem = Problem(body(), Views(images, (start,), ("a",)), albedo="colors")
         if pivot == "eye":
-            problem.pivot = tuple(start.position)  # for what the results say: there p is 0
+            problem.pivot = tuple(start.position.tolist())  # for what the results say: there p is 0
         rate = {"start": 0.01, "end": 1e-3, "steps": 400}
         problem.phase("p", 400, {"rotation": Adam(rate), "translation": Adam(rate)}, [Loss("color"), Loss("silhouette")], Softness(2.0))
         problem.compile("lavapipe", tmp_path / f"{pivot}.dressi")

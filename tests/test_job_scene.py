@@ -8,10 +8,12 @@ from jobs import command
 
 from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
+from dressi_edge.commands import run
 from dressi_edge.compiler.graph.functions import compose
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.meshes import load_parts
 from dressi_edge.compiler.io.writers import save_mesh, save_png
-from dressi_edge.compiler.scene import Scene, Texture, Unlit, Vertex, icosphere, orbit, pear
+from dressi_edge.compiler.scene import Scene, Texture, Unlit, Vertex, icosphere, orbit, pear, results
 from dressi_edge.compiler.scene.job import parse_job
 
 pytest_plugins = ["gpu"]
@@ -125,3 +127,44 @@ def test_every_parameter_can_be_named(folder):
 def test_mistakes_are_named(folder, change, what):
     with pytest.raises(InputError, match=what):
         parse_job(job(**change), folder / "job.toml")
+
+
+def test_parts_in_map_coordinates_come_back_there(folder, tmp_path, gpu):
+    """Two parts, one of them with vertices that are fitted, 5000 km from the origin: seen as beside it, and written there."""
+    utm = np.array([441547.3, 5121946.6, 2345.1])
+    document = json.loads((folder / "transforms.json").read_text())
+    for frame in document["frames"]:
+        frame["file_path"] = str(folder / frame["file_path"])
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"]) + np.pad(utm[:, None], ((0, 1), (3, 0)))).tolist()
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    for name, mesh in (("pear", PEAR), ("ball", BALL)):
+        save_mesh(tmp_path / f"{name}.glb", replace(mesh, positions=mesh.positions + utm))
+    fit = {"name": "fit", "steps": 1, "optimize": {"pear": {"vertices": {"rate": 1e-6}}, "ball": {"translation": {"rate": 1e-6}}},
+           "loss": [{"kind": "silhouette"}]}
+    parse_job(job(phase=[fit]), tmp_path / "job.toml").compile("lavapipe", tmp_path / "x.dressi")
+    with runtime.load(tmp_path / "x.dressi", gpu.device) as session:
+        session.step(1)
+        metrics = results.write(session, tmp_path / "out.glb", {}, None, {})
+        run._save_states(session, str(tmp_path / "out.npz"))
+    assert metrics["views"]["iou_mean"] > 0.9
+    pear_, ball = load_parts(tmp_path / "out.glb")
+    assert np.abs(pear_.mesh.positions - PEAR.positions - utm).max() < 1e-4
+    assert np.abs(ball.mesh.positions - BALL.positions - utm - job()["part"][1]["translation"]).max() < 1e-4
+    assert np.abs(np.load(tmp_path / "out.npz")["pear.vertices"] - PEAR.positions - utm).max() < 1e-4
+
+
+def test_a_part_is_looked_for_where_its_pose_puts_it(folder):
+    far = [{"name": "pear", "path": "pear.glb", "translation": [0, 90, 0]}, {"name": "ball", "path": "ball.glb", "translation": [0, 90, 0]}]
+    with pytest.raises(InputError, match="views: the mesh is in no view"):
+        parse_job(job(part=far), folder / "job.toml")
+    with pytest.raises(InputError, match="a.texture has 5000x2 texels; profile vulkan_min allows 4096x4096"):
+        part = [{"name": "a", "sphere": {"vertices": 42}, "material": {"texture_size": [5000, 2]}}]
+        phase = {"name": "p", "steps": 1, "optimize": {"a": {"texture": {"rate": 0.1}}}, "loss": [{"kind": "color"}]}
+        parse_job(job(part=part, phase=[phase]), folder / "job.toml").compile("vulkan_min", folder / "x.dressi")
+
+
+def test_what_a_reference_session_found_is_told_as_that_of_a_device(folder):
+    problem = parse_job(job(), folder / "job.toml")
+    problem.program.meta.update(problem.record())
+    with ReferenceSession(problem.program) as session:
+        assert np.allclose(results._found(session)["parameters"]["ball.translation"], [0.42, 0.3, 0.42])

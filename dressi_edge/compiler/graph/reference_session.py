@@ -33,7 +33,8 @@ class ReferenceSession:
 
     def __init__(self, program: Program):
         self.program = program
-        self.values = {name: {"name": name, "role": role} for name, role in program.roles.items()}
+        self.values = {name: {"name": name, "role": role, "layout": program.values[name].layout.kind}
+                       for name, role in program.roles.items()}
         names = list(self.values)
         self.specs = {spec.name: spec for spec in program.plans}
         self.plans = {spec.name: {"name": spec.name, "steps": spec.steps, "updates": [names.index(n) for n in spec.updates],

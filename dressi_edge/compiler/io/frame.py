@@ -21,13 +21,19 @@ if TYPE_CHECKING:
 def recentred(mesh: Mesh, views: Views | Sequence[Camera], lights: Sequence[Light]
               ) -> tuple[Mesh, Views | Sequence[Camera], Sequence[Light], np.ndarray]:
     """Mesh, views and lights moved by -origin, and the origin (3,): zero where nothing was moved."""
-    origin = origin_of(mesh.positions)
+    (mesh,), views, lights, origin = recentred_parts([mesh], views, lights, origin_of(mesh.positions))
+    return mesh, views, lights, origin
+
+
+def recentred_parts(meshes: Sequence[Mesh], views: Views | Sequence[Camera], lights: Sequence[Light], origin: np.ndarray
+                    ) -> tuple[Sequence[Mesh], Views | Sequence[Camera], Sequence[Light], np.ndarray]:
+    """Several meshes, views and lights moved by -origin, and the origin; all as they are where it is zero."""
     if not origin.any():
-        return mesh, views, lights, origin
-    mesh = replace(mesh, positions=mesh.positions - origin)
+        return meshes, views, lights, origin
+    meshes = [replace(mesh, positions=mesh.positions - origin) for mesh in meshes]
     lights = tuple(_moved_light(x, origin) for x in lights)
     cameras = tuple(_moved(c, origin) for c in (views.cameras if isinstance(views, Views) else views))
-    return mesh, replace(views, cameras=cameras) if isinstance(views, Views) else cameras, lights, origin
+    return meshes, replace(views, cameras=cameras) if isinstance(views, Views) else cameras, lights, origin
 
 
 def _moved(camera: Camera, origin: np.ndarray) -> Camera:

@@ -19,8 +19,10 @@ from ..graph.functions import compose, constant_table, dot
 from ..graph.ir import Node
 from ..graph.optable import as_node
 from ..graph.program import Program
+from ..io.cameras import rotation_matrix
+from ..io.frame import recentred_parts
 from ..io.images import srgb_to_linear
-from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
+from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, origin_of
 from ..render import loss as losses
 from ..render.camera import rotation_rows
 from ..render.frame import Frame
@@ -32,8 +34,8 @@ from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import encode_srgb
 from . import sense
-from .limits import fits_views
-from .pieces import record
+from .limits import fits_program, fits_views
+from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
 from .sections import MESH, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
@@ -53,11 +55,12 @@ LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "spe
 
 @dataclass(frozen=True, eq=False)
 class SceneJob:
-    """The scene of a job, its pictures' names, and the point that cameras turn about."""
+    """The scene of a job, its pictures' names, the point that cameras turn about, and what its meta says of its frame."""
 
     scene: Scene
     images: tuple[str, ...]
     pivot: tuple[float, float, float]
+    frame: dict
 
     @property
     def program(self) -> Program:
@@ -69,12 +72,17 @@ class SceneJob:
 
     def record(self) -> dict:
         """The meta of the bundle."""
-        return {**record(self.scene, self.images), "pivot": list(self.pivot)}
+        return {**record(self.scene, self.images), "pivot": list(self.pivot), **self.frame}
 
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
         """Write the bundle; see `compiler.compile_program`."""
+        given = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
+        profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in given]
+        s = self.scene
+        fits_program(self.program, profiles, f"{len(s.cameras)} views of {s.width}x{s.height} and "
+                     f"{sum(len(part.mesh.faces) for part in s.parts)} faces")
         self.program.meta.update(self.record())
-        return self.scene.compile(profile, path, **options)
+        return s.compile(profiles, path, **options)
 
 
 @dataclass(frozen=True)
@@ -138,7 +146,12 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
     optimized = {key for phase in phases for key in phase.optimize}
 
     meshes, views = [p.load() for p in parts], make_views()
-    views_table.checked(sense.check, _together(meshes), views, any(t.kind == "silhouette" for phase in phases for t in phase.terms))
+    placed = _together([_placed(p, mesh) for p, mesh in zip(parts, meshes)])
+    meshes, views, lights, origin = recentred_parts(meshes, views, lights, origin_of(placed.positions))
+    placed = replace(placed, positions=placed.positions - origin)
+    silhouettes = any(t.kind == "silhouette" for phase in phases for t in phase.terms)
+    views_table.checked(sense.check, placed, views, silhouettes,
+                        "normalize has moved and scaled a part, but not the cameras" * any(p.table.has("normalize") for p in parts))
     if linear:
         views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
     scene = Scene(views.cameras, background, encode_srgb if srgb else None)
@@ -158,7 +171,15 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
         phase.table.checked(_add_phase, scene, phase, softness, order, seed, targets, background)
     seen = scene.frame(renderer_of(SHARP))
     scene.output("render", color=compose(seen.color, seen.alpha))
-    return SceneJob(scene, views.names, middle)
+    vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
+    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights))
+
+
+def _placed(p: _PartTable, mesh: Mesh) -> Mesh:
+    """The mesh where the part's own pose puts it (`_Builder._positions`)."""
+    middle = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0
+    turned = (mesh.positions - middle) @ rotation_matrix(p.pose.get("rotation", np.zeros(3))).T * p.pose.get("scale", 1.0)
+    return replace(mesh, positions=middle + turned + p.pose.get("translation", np.zeros(3))) if p.pose else mesh
 
 
 def _together(meshes: Sequence[Mesh]) -> Mesh:

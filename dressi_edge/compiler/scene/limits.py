@@ -14,6 +14,7 @@ from ...cache.layout import MAX_TABLE_ROWS, table_size
 from ...cache.profile import Profile
 from ..graph.ir import topological
 from ..graph.ops.texture_gradient import MAX_PIXELS
+from ..graph.program import Program
 from ..io.images import MAX_PIXELS as MAX_TEXELS
 from ..render.atlas import Atlas
 
@@ -94,21 +95,30 @@ def fits_scene(profiles: Sequence[Profile], views: int, pixels: int, order: str,
 
 
 def fits(problem, profiles: Sequence[Profile]) -> None:
-    """Checks all of a `Problem` that its graph says, before anything is compiled. Raises InputError."""
+    """Checks all of a `Problem` that is known before anything is compiled. Raises InputError."""
     views, pixels = len(problem.cameras), problem.width * problem.height
     fits_views(profiles)(views, problem.width, problem.height)
     texture = problem.program.values.get("texture")
     optimized = {name for spec in problem.program.plans for name in spec.updates}
     fits_scene(profiles, views, pixels, problem.order, len(problem.mesh.positions), len(problem.mesh.faces),
                None if texture is None else texture.layout.size, optimized, problem.texture_grad)
-    roots = [node for spec in problem.program.plans for node in (*spec.updates.values(), *spec.outputs.values())]
-    for node in topological(roots):
+    fits_program(problem.program, profiles, f"{views} views of {problem.width}x{problem.height} and {len(problem.mesh.faces)} faces")
+
+
+def fits_program(program: Program, profiles: Sequence[Profile], what: str) -> None:
+    """Checks every image of a program's values and graph. what: of what it is made, for errors. Raises InputError."""
+    for name, value in program.values.items():
+        width, height = value.layout.size
+        for profile in profiles:
+            across, down = side(profile)
+            if value.layout.kind == "image" and (width > across or height > down):
+                raise InputError(f"{name} has {width}x{height} texels; profile {profile.name} allows {across}x{down}; scale it down")
+    for node in topological([node for spec in program.plans for node in (*spec.updates.values(), *spec.outputs.values())]):
         for profile in profiles:
             across, down = side(profile)
             if node.extent.width > across or node.extent.height > down:
                 extent = node.extent
                 table = (extent.width, extent.height) == table_size(extent.count)
-                raise InputError(f"{views} views of {problem.width}x{problem.height} and {len(problem.mesh.faces)} faces need "
-                                 f"{f'a table of {extent.count} entries' if table else 'an image'}, {extent.width}x{extent.height} in "
-                                 f"{node.op.name}; profile {profile.name} allows {across}x{down}; use fewer or smaller views, or "
-                                 "fewer faces")
+                raise InputError(f"{what} need {f'a table of {extent.count} entries' if table else 'an image'}, "
+                                 f"{extent.width}x{extent.height} in {node.op.name}; profile {profile.name} allows {across}x{down}; "
+                                 "use fewer or smaller views, or fewer faces")

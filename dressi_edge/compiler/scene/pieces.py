@@ -14,6 +14,7 @@ from ..graph.ir import Node
 from ..io.images import linear_to_srgb, srgb_to_linear
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
+from ..render.light import Light
 from ..render.material import Corner, Texture, Unlit, Vertex
 
 GEOMETRY = "geometry"  # the plan that gives positions which are no values of their own
@@ -35,6 +36,22 @@ def unpack(entry, name: str, kind: str, columns: int) -> np.ndarray:
         return array
     except (KeyError, TypeError, ValueError) as error:
         raise BundleError(f"meta.{name} is malformed ({error}); compile the bundle again") from None
+
+
+def origin_in(meta: Mapping, name: str | None = None) -> np.ndarray:
+    """(3,) what is to be added to points on the device to have them in the input's frame (`io.frame`); zero for the value `name` where it
+    is no point. Raises BundleError."""
+    try:
+        origin = np.array(meta.get("origin", (0.0, 0.0, 0.0)), np.float64).reshape(3)
+        return origin if name is None or name in meta.get("points", ()) else np.zeros(3)
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"meta.origin is malformed ({error}); compile the bundle again") from None
+
+
+def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Light]) -> dict:
+    """The meta of a frame whose origin is not the input's: where it is, and which values are points in it. Nothing for the input's own."""
+    points = [*vertices, *(f"light{k}.vector" for k, light in enumerate(lights) if light.kind == "point")]
+    return {"origin": origin.tolist(), "points": points} if origin.any() else {}
 
 
 def record(scene, images: Sequence[str] | None = None) -> dict:
@@ -103,10 +120,11 @@ def parts_of(session) -> list[Part]:
     entries = meta.get("parts")
     if not isinstance(entries, list) or not entries or not all(isinstance(e, Mapping) for e in entries):
         raise BundleError("this bundle carries no parts (meta.parts); compile it from a job, a Problem or a recorded Scene")
-    return [_part(_Entry(session, entry, f"meta.parts[{k}]"), bool(meta.get("linear_albedo"))) for k, entry in enumerate(entries)]
+    origin = origin_in(meta)
+    return [_part(_Entry(session, entry, f"meta.parts[{k}]"), bool(meta.get("linear_albedo")), origin) for k, entry in enumerate(entries)]
 
 
-def _part(e: _Entry, linear: bool) -> Part:
+def _part(e: _Entry, linear: bool, origin: np.ndarray) -> Part:
     def stored(colors: np.ndarray) -> np.ndarray:
         colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
         return linear_to_srgb(colors) if linear else colors
@@ -118,7 +136,7 @@ def _part(e: _Entry, linear: bool) -> Part:
     if faces is None:
         raise BundleError(f"{e.where} has no faces; compile the bundle again")
     places = e.value(positions) if isinstance(positions, str) else unpack(positions, f"{e.where}.positions", "<f8", 3)
-    mesh = Mesh(places, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
+    mesh = Mesh(places + origin, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
                 normal_faces=e.array("normal_faces", "<i4", 3))
     material = Material(name, unlit=bool(e.meta.get("unlit")))
     if "texture" in color:

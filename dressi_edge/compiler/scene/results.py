@@ -17,7 +17,7 @@ from ..io.images import linear_to_srgb
 from ..io.mesh import Mesh
 from ..io.views import Views
 from ..io.writers import MESH_SUFFIXES, contact_sheet, loss_curve, save_json, save_mesh, save_parts
-from .pieces import pack, parts_of, unpack
+from .pieces import frame_meta, origin_in, pack, parts_of, unpack
 
 SHOWN = 8  # views in a contact sheet
 
@@ -39,9 +39,7 @@ def record(problem) -> dict:
              "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far]
                          for c in cameras],
              "pivot": list(problem.pivot), "shading": problem.shading, "wrap": problem.wrap}
-    if problem.origin.any():  # of the device's frame in the input's; these values are points in it
-        meta |= {"origin": problem.origin.tolist(),
-                 "points": ["vertices", *(f"light{k}.vector" for k, light in enumerate(problem.lights) if light.kind == "point")]}
+    meta |= frame_meta(problem.origin, ["vertices"], problem.lights)
     if mesh.uvs is not None:
         meta |= {"uvs": pack(mesh.uvs, "<f8"), "uv_faces": pack(mesh.uv_faces, "<i4")}
     given = {"color_faces": mesh.color_faces, "vertex_map": mesh.vertex_map}
@@ -57,14 +55,8 @@ def meta_of(session) -> dict:
 
 
 def _origin(session, name: str | None = None) -> np.ndarray:
-    """(3,) what is to be added to points on the device to have them in the input's frame; zero for values that are no points. Raises
-    BundleError."""
-    meta = meta_of(session)
-    try:
-        origin = np.array(meta.get("origin", (0.0, 0.0, 0.0)), np.float64).reshape(3)
-        return origin if name is None or name in meta.get("points", ()) else np.zeros(3)
-    except (TypeError, ValueError) as error:
-        raise BundleError(f"meta.origin is malformed ({error}); compile the bundle again") from None
+    """(3,) to be added to points on the device, or to the value `name` if it is one, to have them in the input's frame."""
+    return origin_in(meta_of(session), name)
 
 
 def _pivot(session) -> np.ndarray | None:
