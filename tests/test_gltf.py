@@ -340,6 +340,14 @@ def test_flat_normals_of_split_vertices_stay_while_vertices_move_together(tmp_pa
     assert not np.allclose(corner_normals(mesh, "smooth"), corner_normals(mesh, "flat"))
 
 
+def test_a_surface_without_normals_is_flat(tmp_path):
+    g = GltfFile()
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    g.node([{"attributes": {"POSITION": g.accessor(points)}, "indices": g.accessor(np.array([0, 1, 2, 0, 2, 3], np.uint8))}])
+    mesh = load_mesh(g.save(tmp_path / "a.glb"))
+    assert np.allclose(corners(mesh, "normals"), [[[0, 0, 1]] * 3, [[1, 0, 0]] * 3])
+
+
 def test_pictures_are_found_by_uri_and_missing_ones_named(tmp_path):
     g = GltfFile()
     g.add("images", {"uri": "oak%20skin.png"})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dressi_edge.cache.errors import InputError
+from dressi_edge.cache.errors import InputError, InputWarning
 from dressi_edge.compiler.io.charts import COLUMNS, ROWS, SIDES, cube_charts, texel_directions
 from dressi_edge.compiler.io.meshes import Mesh, load_mesh, load_texture, normalize
 from dressi_edge.compiler.io.shapes import icosphere, pear, sphere
@@ -120,9 +120,11 @@ def test_obj_merges_vertices_by_position_and_keeps_its_uv_seam(tmp_path):
 def test_obj_without_material_has_no_texture_until_one_is_given(tmp_path):
     path = write_square_obj(tmp_path)
     (tmp_path / "square.mtl").unlink()
-    assert load_mesh(path).texture is None
-    assert np.array_equal(load_mesh(path, tmp_path / "square.png").texture, load_texture(tmp_path / "square.png"))
-    with pytest.raises(InputError, match="texture file .*nothing.png does not exist"):
+    with pytest.warns(InputWarning, match="material file square.mtl does not exist"):
+        assert load_mesh(path).texture is None
+    with pytest.warns(InputWarning):
+        assert np.array_equal(load_mesh(path, tmp_path / "square.png").texture, load_texture(tmp_path / "square.png"))
+    with pytest.warns(InputWarning), pytest.raises(InputError, match="texture file .*nothing.png does not exist"):
         load_mesh(path, tmp_path / "nothing.png")
 
 
@@ -247,6 +249,7 @@ def test_real_meshes_load_with_their_topology(tmp_path):
     spot = load_mesh(SHARED_MESHES / "spot" / "spot.obj", SHARED_MESHES / "spot" / "spot_texture.png")
     assert is_closed(spot) and spot.positions.shape == (2930, 3) and spot.uvs.shape == (3225, 2)
     assert spot.faces.shape == (5856, 3) and spot.texture.shape == (1024, 1024, 3)
-    avocado = load_mesh(SHARED_MESHES / "avocado" / "Avocado.gltf")
+    with pytest.warns(InputWarning, match="metallic-roughness, normal maps are not used by a single mesh"):
+        avocado = load_mesh(SHARED_MESHES / "avocado" / "Avocado.gltf")
     assert avocado.uvs.shape == (406, 2) and avocado.faces.shape == (682, 3) and avocado.texture.shape == (512, 512, 3)
     assert load_mesh(SHARED_MESHES / "bunny.obj").faces.shape == (69451, 3)

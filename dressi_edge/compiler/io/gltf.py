@@ -185,8 +185,9 @@ class _Scene:
             colors = (linear_to_srgb(np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0)), faces)
         sets = [key for key in attributes if key.startswith("TEXCOORD_") and key[9:].isdecimal()]
         uvs = {int(key[9:]): (attribute(key, ("VEC2",)), faces) for key in sets}
+        flat = np.zeros((1, 3)), np.zeros_like(faces)  # without normals a surface is flat (3.7.2.1)
         return [Piece(name, faces + first, material_of(self.document, primitive.get("material")), uvs, colors,
-                      None if normals is None else (np.nan_to_num(normals), faces), (first, first + count))]
+                      flat if normals is None else (np.nan_to_num(normals), faces), (first, first + count))]
 
     def _morphed(self, primitive: dict, node: dict, mesh: dict, positions: np.ndarray, normals: np.ndarray | None, where: str):
         """Positions and normals with morph targets by the file's weights (3.7.2.2)."""

@@ -20,7 +20,7 @@ Corners = tuple[np.ndarray, np.ndarray]  # values (n, k) float64, and (F, 3) whi
 @dataclass(frozen=True, eq=False)
 class Piece:
     """Faces of one material. faces: (F, 3) indices of the file's vertices. uvs: by set, v down. colors: in [0, 1], sRGB encoded.
-    normals: any length above 0, or 0 where the file has none. vertices: the range (first, end) that is this piece's own, if one is.
+    normals: of any length; of length 0 where the face's own is meant. vertices: the range (first, end) that is this piece's own, if one is.
     order: (F,) where its faces stand among all of the file, if pieces take turns."""
 
     name: str
