@@ -34,7 +34,7 @@ from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import encode_srgb
 from . import sense
-from .limits import fits_program, fits_views
+from .limits import fits_views
 from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
 from .sections import MESH, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
@@ -76,13 +76,8 @@ class SceneJob:
 
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
         """Write the bundle; see `compiler.compile_program`."""
-        given = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
-        profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in given]
-        s = self.scene
-        fits_program(self.program, profiles, f"{len(s.cameras)} views of {s.width}x{s.height} and "
-                     f"{sum(len(part.mesh.faces) for part in s.parts)} faces")
         self.program.meta.update(self.record())
-        return s.compile(profiles, path, **options)
+        return self.scene.compile(profile, path, **options)
 
 
 @dataclass(frozen=True)

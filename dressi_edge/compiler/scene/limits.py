@@ -22,6 +22,12 @@ BYTES_PER_PIXEL = 110  # of all views together, at the peak of a compilation: me
 BYTES_PER_TEXEL = 16  # in a bundle
 
 
+def profiles_of(given: Profile | str | os.PathLike | Sequence[Profile | str]) -> list[Profile]:
+    """The profiles that are meant by one or several, or their names. Raises ProfileError."""
+    several = [given] if isinstance(given, Profile | str | os.PathLike) else given
+    return [p if isinstance(p, Profile) else Profile.load(p) for p in several]
+
+
 def side(profile: Profile) -> tuple[int, int]:
     """The largest image (width, height) that a profile lets be drawn into and read."""
     limit, viewport = profile.limit, profile.limit("maxViewportDimensions")
@@ -106,7 +112,7 @@ def fits(problem, profiles: Sequence[Profile]) -> None:
 
 
 def fits_program(program: Program, profiles: Sequence[Profile], what: str) -> None:
-    """Checks every image of a program's values and graph. what: of what it is made, for errors. Raises InputError."""
+    """Checks every image of a program's values and graph. what: what it is made of, for errors. Raises InputError."""
     for name, value in program.values.items():
         width, height = value.layout.size
         for profile in profiles:

@@ -33,7 +33,7 @@ from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import encode_srgb
 from . import sense
-from .limits import fits
+from .limits import fits, profiles_of
 from .scene import ORDERS, Scene
 
 SHADINGS = ("unlit", "lambert")
@@ -206,8 +206,7 @@ class Problem:
         from .. import compile_program
         if not self.program.plans:
             raise InputError("the problem has no phase and renders nothing; add one with phase() or render()")
-        given = [profile] if isinstance(profile, Profile | str | os.PathLike) else profile
-        profiles = [p if isinstance(p, Profile) else Profile.load(p) for p in given]
+        profiles = profiles_of(profile)
         fits(self, profiles)
         if not self.judged:
             sense.check(self.mesh, self.views)

@@ -39,6 +39,7 @@ from ..render.part import Part, Parts
 from ..render.raster import Outline, Renderer
 from ..render.schedule import Schedule
 from .layouts import layout_for, layout_of, pictures_layout
+from .limits import fits_program, profiles_of
 from .where import caller, place
 
 ORDERS = ("batch", "cycle", "shuffle")
@@ -340,7 +341,9 @@ class Scene:
         """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`."""
         from .. import compile_program
         self.check()
-        return compile_program(self.program, profile, path, **options)
+        profiles, faces = profiles_of(profile), sum(len(part.mesh.faces) for part in self.parts)
+        fits_program(self.program, profiles, f"{len(self.cameras)} views of {self.width}x{self.height} and {faces} faces")
+        return compile_program(self.program, profiles, path, **options)
 
     def check(self) -> None:
         """Raises InputError where there is nothing to do, or a parameter that nothing depends on."""
