@@ -3,6 +3,7 @@ through pixel centres and the brute-force oracle, which know cameras by their de
 
 from dataclasses import replace
 
+import brute_force
 import brute_force_outline
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from dressi_edge.compiler.io.cameras import Camera, look_along, look_at
 from dressi_edge.compiler.scene import (
     BlinnPhong,
     F,
+    HardSoftRas,
     Light,
     Mesh,
     Outline,
@@ -104,12 +106,14 @@ def test_a_picture_is_what_rays_through_its_pixels_meet(camera):
     np.testing.assert_allclose(color, expected, atol=1e-9)
 
 
-def test_orthographic_silhouettes_colours_and_gradients_are_the_oracles():
+@pytest.mark.parametrize("renderer, oracle, settings", [(Outline(2.3), brute_force_outline, {}),
+                                                        (HardSoftRas(2.3, 2), brute_force, {"layers": 2})], ids=["outline", "face"])
+def test_orthographic_silhouettes_colours_and_gradients_are_the_oracles(renderer, oracle, settings):
     s, x = scene_of([FLAT])
-    frame, r = s.frame(Outline(2.3)), 2.3
+    frame = s.frame(renderer)
     by_alpha, by_color = RNG.normal(size=(20, 24)), RNG.normal(size=(20, 24, 3))
-    expected = brute_force_outline.render(clip_of(FLAT, MESH.positions), MESH.faces, (24, 20), r, near=0.5, attributes=MESH.colors,
-                                          background=np.zeros(3))
+    settings = {"r": 2.3, "near": 0.5, "attributes": MESH.colors, "background": np.zeros(3), **settings}
+    expected = oracle.render(clip_of(FLAT, MESH.positions), MESH.faces, (24, 20), **settings)
     alpha, color = (p[0] for p in seen(s, frame.alpha, frame.color))
     np.testing.assert_allclose(alpha, expected.silhouette, atol=1e-9)
     np.testing.assert_allclose(color, expected.color, atol=1e-9)
@@ -117,8 +121,7 @@ def test_orthographic_silhouettes_colours_and_gradients_are_the_oracles():
     def loss_of(rendered):
         return (rendered.silhouette * by_alpha).sum() + (rendered.color * by_color).sum()
 
-    slope = brute_force_outline.gradient(loss_of, clip_of(FLAT, MESH.positions), MESH.faces, (24, 20), r, near=0.5,
-                                         attributes=MESH.colors, background=np.zeros(3)).clip
+    slope = oracle.gradient(loss_of, clip_of(FLAT, MESH.positions), MESH.faces, (24, 20), **settings).clip
     jacobian = np.array([clip_of(FLAT, MESH.positions + step) - clip_of(FLAT, MESH.positions) for step in np.eye(3)])  # clip is linear
     loss = F.total(frame.alpha * F.constant(by_alpha[..., None])) + F.total(F.dot(frame.color, F.constant(by_color)))
     found = s.program.values["vertices"].layout.from_image(evaluate(gradients(loss, [x]), fed(s))[0])
@@ -249,7 +252,7 @@ def test_a_device_draws_cameras_of_all_kinds_and_sizes_in_one_scene(gpu):
              by=gradients(loss, [x])[0])
     expected = evaluate(list(s.program.plans[-1].outputs.values()), fed(s))
     with gpu.open(s.program) as session:
-        for (name, node), image in zip(s.program.plans[-1].outputs.items(), expected):
+        for name, image in zip(s.program.plans[-1].outputs, expected):
             layout = s.program.values[name].layout
             size = abs(image).max()
             np.testing.assert_allclose(session.get(name), layout.from_image(image), atol=3e-4 * size, err_msg=name)
