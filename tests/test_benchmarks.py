@@ -12,6 +12,7 @@ from conftest import SHARED
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import error_vs_time
+import geometry
 import metrics
 import reconstruct
 import sphere_to_spot
@@ -185,3 +186,9 @@ def test_storage_half_moves_less_for_an_error_that_rounding_explains(tmp_path):
     assert (full["storage"], half["storage"]) == ("float", "half") and full["gradient"] == 0.0
     assert half["MB"] < full["MB"] and half["bytes"] == full["bytes"] - 8.0
     assert 1e-6 < half["gradient"] < 1e-3
+
+
+def test_the_geometry_benchmark_names_what_it_measures(tmp_path):
+    geometry.main(["--quick", "--only", "skin", "--json", str(tmp_path / "out.json")])
+    row, = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert row["case"] == "skin" and row["vertices"] == 1000 and min(row["ms"], row["compile_s"], row["image_MB"], row["bundle_MB"]) > 0

@@ -12,7 +12,7 @@ from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, constant, dot, mean, total
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.passes.lists import MIN_TEXELS
-from dressi_edge.compiler.render.optimizer import Adam, Sgd
+from dressi_edge.compiler.render.optimizer import Adam, AdamUniform, AdamW, Clipped, Scaled, Sgd
 from dressi_edge.compiler.render.texture import sample_texture
 
 pytest_plugins = ["gpu"]
@@ -148,6 +148,18 @@ def test_any_sequence_gives_the_bits_of_updating_every_texel(gpu, tmp_path, dens
                     s.restore(path)
         pair.states()
         assert pair.runs("fit.enter") and pair.runs("fit.leave") and pair.runs("other.enter")
+
+
+@pytest.mark.parametrize("optimizer", [AdamW(0.03, decay=0.5), Scaled(Adam(0.03), np.linspace(0, 1, 220).reshape(11, 20)),
+                                       AdamUniform(0.03), AdamUniform(0.03, shared="vector"), Clipped(Adam(0.03), 1e-3, 1e-2)],
+                         ids=["AdamW", "Scaled", "AdamUniform", "AdamUniform, vector", "Clipped"])
+def test_every_optimizer_gives_the_bits_of_updating_every_texel(gpu, optimizer):
+    with Pair(gpu, Fit(optimizer)) as pair:
+        pair.step(3)
+        pair.get("texture")
+        pair.set("texture", np.random.default_rng(1).uniform(0, 1, pair.listed.shape("texture")))
+        pair.step(2)
+        pair.states()
 
 
 @pytest.mark.parametrize("profile", ["lavapipe", "limit4", "mali_g76", "vulkan_min"])
