@@ -153,7 +153,7 @@ class Case:
     def _recorded(self, stages: list[dict]):
         s = self.session
         plan = s._plans[self.plan]
-        recording = s._record(type(plan)({**plan.record, "stages": stages}, s.bundle.description, plan.kind),
+        recording = s._record(type(plan)({**plan.record, "stages": stages}, s.bundle.description, plan.rule),
                               {k: s._parity.get(k, 0) for k in plan.slots})
         self.closing.insert(0, recording)
 

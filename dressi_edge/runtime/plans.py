@@ -1,6 +1,6 @@
-"""A plan as a session runs it: what it reads, writes and needs, found once instead of at every step.
+"""A plan as a session runs it: its images and recordings, found once instead of at every step; the time of its stages.
 
-In: the plan's record and the bundle's description. Out: a `Plan`, which also keeps its recordings; the time of its stages.
+In: the plan's record, the bundle's description, the plan's rule (`cache/reactive.py`). Out: a `Plan`.
 """
 from __future__ import annotations
 
@@ -8,42 +8,25 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..cache.reactive import Rule
 from . import vk
 from .record import Recording
 from .work import Work
 
 
 class Plan:
-    """name, record (the bundle's). reads: names of all values that it or a plan it needs reads. needs: the names of those
-    plans, in the order to run them. states: the values it updates. given: names of the outputs it gives. slots: its images that
-    are held twice, whose parity chooses among `recordings`. touches: the values whose images it reads or updates itself. kind: as
-    in `cache/copies.py`."""
+    """name, record (the bundle's), rule (what it has to do with others). states: the values it updates, with their images. slots: its
+    images that are held twice, whose parity chooses among `recordings`. kept: whether it has run, so that the driver has compiled it."""
 
-    def __init__(self, record: dict, description: dict, kind: str):
-        plans, values = description["plans"], description["values"]
-        self.name, self.record, self.kind, self.kept = record["name"], record, kind, False
-        # what the needed plans need is among those it needs
-        reads = dict.fromkeys(values[k]["name"] for plan in (record, *(plans[k] for k in record["needs"])) for k in plan["reads"])
-        self.reads, self.needs = tuple(reads), tuple(plans[k]["name"] for k in record["needs"])
-        inputs = {value["name"] for value in values if value["role"] == "input"}
-        self.inputs = tuple(name for name in reads if name in inputs)
+    def __init__(self, record: dict, description: dict, rule: Rule):
+        values = description["values"]
+        self.name, self.record, self.rule, self.kept = record["name"], record, rule, False
         self.states = tuple((values[k]["name"], values[k]["image"]) for k in record["updates"])
-        self.touches = tuple(dict.fromkeys(values[k]["name"] for k in (*record["reads"], *record["updates"])))
-        self.given = tuple(values[k]["name"] for k in record["outputs"])
         used = {ref // 2 for stage in record["stages"] for ref in stage["attachments"]}
         subpasses = [draws for stage in record["stages"] for draws in stage["subpasses"]]
         used |= {ref // 2 for draws in subpasses for draw in draws for ref in draw["images"]}
         self.slots = tuple(k for k in sorted(used) if description["images"][k]["slots"] == 2)
         self.recordings: dict[tuple[int, ...], Recording] = {}
-
-
-class Copies:
-    """What a phase works on instead of states. names: of the values that `enter` fills; states: of those that `leave` gives them
-    back to."""
-
-    def __init__(self, enter: Plan, leave: Plan):
-        self.enter, self.leave = enter, leave
-        self.names, self.states = ({name for name, _ in plan.states} for plan in (enter, leave))
 
 
 def profile_stages(device, work: Work, stages: int, record: Callable[[int], Recording], changes: Callable[[], list],

@@ -11,10 +11,11 @@ import numpy as np
 
 from ..cache import bundle as bundles
 from ..cache import vjp
-from ..cache.copies import kinds
+from ..cache.copies import ENTER, LEAVE, OUTPUT, PHASE
 from ..cache.errors import BundleError, DeviceError, InputError
 from ..cache.layout import CHANNELS, Layout, is_int
 from ..cache.profile import Profile
+from ..cache.reactive import Reactive, Rule
 from ..cache.steps import bounded, check_step
 from ..cache.vulkan import HALF_FORMATS
 from . import checkpoint as checkpoints
@@ -25,7 +26,7 @@ from .fit import choose
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
-from .plans import Copies, Plan, profile_stages
+from .plans import Plan, profile_stages
 from .record import Recording
 from .transfer import batches, clear, download, upload
 from .work import Work
@@ -97,17 +98,12 @@ class Session:
         self.values = {value["name"]: value for value in self._d["values"] if value["role"] != "copy"}
         self._layouts = {name: _layout(value) for name, value in self.values.items()}
         self.plans = {plan["name"]: plan for plan in self._d["plans"]}
-        self._plans = {plan["name"]: Plan(plan, self._d, kind) for plan, kind in zip(self._d["plans"], kinds(self._d))}
-        self._giver = {name: plan for plan in reversed(self._plans.values()) for name in plan.given}
-        self.phases = [plan.name for plan in self._plans.values() if plan.kind == "phase"]
+        self._reactive = Reactive(self._d)
+        self._plans = {plan["name"]: Plan(plan, self._d, self._reactive.rules[plan["name"]]) for plan in self._d["plans"]}
+        self._giver = {name: plan for plan in reversed(self._plans.values()) for name in plan.rule.outputs}
+        self.phases = [plan.name for plan in self._plans.values() if plan.rule.kind == PHASE]
         self.phase = self.phases[0] if self.phases else None
         self._parity = {value["image"]: 0 for value in self._d["values"]}
-        self._version = dict.fromkeys((value["name"] for value in self._d["values"]), 0)
-        self._seen: dict[str, tuple] = {}
-        pairs = zip(self._plans.values(), [*self._plans.values()][1:])
-        self._copies = {plan.name: Copies(plan, leave) for plan, leave in pairs if plan.kind == "enter"}
-        self._out = dict.fromkeys(self._copies, False)  # whether they are newer than the states
-        self._given = {n: x["initial"] is not None for n, x in self.values.items() if x["role"] == "input"}
         self._largest = max((image_bytes(self._d["images"][x["image"]]) for x in self.values.values()), default=0)
         self._runs: dict[str, int] = dict.fromkeys(self.plans, 0)
         self._skipped: dict[str, int] = dict.fromkeys(self.plans, 0)
@@ -213,17 +209,12 @@ class Session:
             pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
         self._put({name: np.ascontiguousarray(pixels, stored)})
 
-    def _changes(self, names) -> list:
-        """What is true once these values are new."""
-        return [*((self._version, name, self._version[name] + 1) for name in names),
-                *((self._given, name, True) for name in names if name in self._given)]
-
     @_serial
     def _put(self, arrays: dict[str, np.ndarray], more: tuple = ()) -> None:
         self._work.settle()  # an interrupted step may yet flip a state
         self._give_back(arrays)
         upload(self._work, self._staging, [self._copy(self.values[name]["image"], data) for name, data in arrays.items()],
-               [*self._changes(arrays), *more])
+               [*self._reactive.set(arrays), *more])
         self._staging.trim(self._largest)
 
     def get(self, name: str) -> np.ndarray:
@@ -247,10 +238,10 @@ class Session:
         if value["role"] == "output":
             plan = self._giver[value["name"]]
             if not plan.states:
-                self._run_if_changed(plan)
+                self._refresh(plan)
             elif not self._runs[plan.name]:
                 raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
-        elif not self._given.get(value["name"], True):
+        elif not self._reactive.given.get(value["name"], True):
             raise InputError(f"{value['name']} has no value yet; set it first")
         self._give_back([value["name"]])
         return download(self._work, self._staging, [self._handle(value["image"])])[0]
@@ -259,29 +250,31 @@ class Session:
 
     def _give_back(self, names: Iterable[str]) -> None:
         """Bring those of these states up to date of which a phase has newer copies."""
-        for name, out in self._out.items():
-            if out and not self._copies[name].states.isdisjoint(names):
-                leave = self._copies[name].leave
-                self._work.submit([self._recording(leave).commands],
-                                  [(self._runs, leave.name, self._runs[leave.name] + 1), (self._out, name, False)])
-                self._work.settle()
+        self._each(self._reactive.leaves(names))
 
-    def _run_if_changed(self, plan: Plan, prepared: bool = False) -> None:
-        versions = tuple(map(self._version.__getitem__, plan.reads))
-        if self._seen.get(plan.name) == versions:
-            self._skipped[plan.name] += 1
+    def _each(self, rules: Iterable[Rule]) -> set[str]:
+        """Run these, one after another; their names."""
+        ran = set()
+        for rule in rules:
+            self._submit(self._plans[rule.name])
+            ran.add(rule.name)
+        return ran
+
+    def _refresh(self, plan: Plan) -> None:
+        """Run a plan that gives something out unless that is up to date."""
+        if self._reactive.stale(plan.rule):
+            self._run(plan, 1)
         else:
-            self._run(plan, 1, prepared)
-            self._seen[plan.name] = versions
+            self._skipped[plan.name] += 1
 
     def _prepare(self, plan: Plan) -> None:
-        """Bring what the plan needs up to date, in order: what one of them needs comes before it."""
-        for name in plan.needs:
-            self._run_if_changed(self._plans[name], prepared=True)
+        """Run all that must run before it."""
+        ran = self._each(self._reactive.before(plan.rule))
+        for name in plan.rule.needs:
+            self._skipped[name] += name not in ran
 
     def _ready(self, plan: Plan) -> None:
-        missing = [name for name in plan.inputs if not self._given[name]]
-        if missing:
+        if missing := self._reactive.missing(plan.rule):
             raise InputError(f"{plan.name} needs {' '.join(missing)}; set it first")
 
     def _recording(self, plan: Plan, flip: tuple = ()) -> Recording:
@@ -296,12 +289,14 @@ class Session:
         return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
                          timestamps)
 
-    def _run(self, plan: Plan, n: int, prepared: bool = False) -> None:
+    def _run(self, plan: Plan, n: int) -> None:
         self._ready(plan)
         self._work.settle()
-        if not prepared:
-            self._prepare(plan)
-        self._give_back(plan.touches)
+        self._prepare(plan)
+        self._submit(plan, n)
+
+    def _submit(self, plan: Plan, n: int = 1) -> None:
+        """Run a plan on what there is."""
         commands = [self._recording(plan).commands]
         if plan.states and n > 1:
             commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
@@ -313,20 +308,8 @@ class Session:
 
     def _stepped(self, plan: Plan, n: int) -> list:
         """What is true after n iterations."""
-        if plan.kind == "leave":  # it changes where the values are
-            return []
-        return [*self._copied(plan), *((self._version, name, self._version[name] + 1) for name, _ in plan.states),
-                *((self._parity, image, self._parity[image] ^ n & 1) for _, image in plan.states)]
-
-    def _copied(self, plan: Plan) -> list:
-        """What is true once a phase has new copies: the states have new values, and these copies are what an enter would make."""
-        changes, updated = [], [name for name, _ in plan.states]
-        for name, copies in self._copies.items() if plan.kind == "phase" else ():
-            if not copies.names.isdisjoint(updated):
-                versions = self._version | {state: self._version[state] + 1 for state in copies.states}
-                changes += [(self._version, state, versions[state]) for state in copies.states]
-                changes += [(self._seen, name, tuple(map(versions.__getitem__, copies.enter.reads))), (self._out, name, True)]
-        return changes
+        flipped = () if plan.rule.kind == LEAVE else plan.states  # a leave writes in place
+        return [*self._reactive.ran(plan.rule), *((self._parity, image, self._parity[image] ^ n & 1) for _, image in flipped)]
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         """Run n iterations of a phase (default: the current one) in one submission; how many were run.
@@ -398,7 +381,6 @@ class Session:
         plan = self._plans[name]
         self._ready(plan)
         self._prepare(plan)
-        self._give_back(plan.touches)
 
         def record(timestamps: int) -> Recording:
             return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
@@ -412,7 +394,7 @@ class Session:
     def _snapshot(self) -> checkpoints.Checkpoint:
         self._work.settle()
         runs = {name: self._runs[name] for name in self.phases}
-        names = self._kept(runs, [n for n, given in self._given.items() if given])
+        names = self._kept(runs, [n for n, given in self._reactive.given.items() if given])
         self._give_back(names)
         data = download(self._work, self._staging, [self._handle(self.values[name]["image"]) for name in names])
         self._staging.trim(self._largest)
@@ -420,7 +402,7 @@ class Session:
 
     def _kept(self, runs: dict[str, int], inputs: list[str]) -> list[str]:
         """The values that a checkpoint holds: states, inputs that were set, and what phases that have run gave out."""
-        given = {name for phase in self.phases if runs[phase] for name in self._plans[phase].given}
+        given = {name for phase in self.phases if runs[phase] for name in self._plans[phase].rule.outputs}
         return [name for name, value in self.values.items() if value["role"] == "state" or name in given or name in inputs]
 
     def _not_finite(self, kept: checkpoints.Checkpoint) -> str:
@@ -448,27 +430,27 @@ class Session:
         self._usable()
         sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
         found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
-        inputs = [name for name in found.values if name in self._given]
+        inputs = [name for name in found.values if name in self._reactive.given]
         if (found.phase not in (self.phases or [None]) or list(found.runs) != self.phases
                 or list(found.values) != self._kept(found.runs, inputs)
                 or any(len(data) != sizes[name] for name, data in found.values.items())):
             raise BundleError(f"{os.fspath(path)}: the checkpoint's values are not those of this bundle")
         if bad := self._not_finite(found):
             raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
-        unset = [name for name in self._given if name not in inputs]
+        unset = [name for name in self._reactive.given if name not in inputs]
         self._put({name: np.frombuffer(data, np.uint8) for name, data in found.values.items()},
                   (*((self._runs, name, n) for name, n in found.runs.items()),
-                   *((self._given, name, False) for name in unset),
-                   *((self._version, name, self._version[name] + 1) for name in unset),  # what was made from them is no more
+                   *self._reactive.unset(unset),
                    (self.__dict__, "phase", found.phase)))
 
     @_serial
     def report(self) -> dict:
         """Which variant was taken and why, what ran how often and how often it did not need to, what the session occupies."""
         self._work.settle()
+        skipped = {name: k for name, k in self._skipped.items() if self._plans[name].rule.kind in (OUTPUT, ENTER)}
         return {"device": self.device.name, "driver": self.device.driver_info, "profile": self.bundle.profile,
                 "variants": dict(self._why),
-                "runs": dict(self._runs), "skipped": {n: k for n, k in self._skipped.items() if self._plans[n].kind in ("output", "enter")},
+                "runs": dict(self._runs), "skipped": skipped,
                 "texels": self._d["meta"].get("texels", {}),
                 "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
                 "pipelines": len(self._d["pipelines"]), "pipeline_cache": self._store.state, "time": time.time()}
