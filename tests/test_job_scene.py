@@ -163,6 +163,17 @@ def test_a_part_is_looked_for_where_its_pose_puts_it(folder):
         parse_job(job(part=part, phase=[phase]), folder / "job.toml").compile("vulkan_min", folder / "x.dressi")
 
 
+def test_a_part_of_two_materials_has_the_colours_of_both(folder):
+    (folder / "two.mtl").write_text("newmtl r\nKd 1 0 0\nnewmtl b\nKd 0 0 1\n")
+    (folder / "two.obj").write_text("mtllib two.mtl\nv 0 0 0\nv .3 0 0\nv .3 .3 0\nv 0 .3 0\nusemtl r\nf 1 2 3\nusemtl b\nf 1 3 4\n")
+    parts = [job()["part"][0], {"name": "ball", "path": "two.obj", "translation": [0.42, 0.3, 0.42]}]
+    problem = parse_job(job(part=parts), folder / "job.toml")
+    problem.program.meta.update(problem.record())
+    with ReferenceSession(problem.program) as session:
+        mesh = results.parts_of(session)[1].mesh
+    assert np.allclose(mesh.colors[mesh.color_faces], [[[1, 0, 0]] * 3, [[0, 0, 1]] * 3])
+
+
 def test_what_a_reference_session_found_is_told_as_that_of_a_device(folder):
     problem = parse_job(job(), folder / "job.toml")
     problem.program.meta.update(problem.record())

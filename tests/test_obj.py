@@ -208,7 +208,7 @@ def test_colours_of_materials_are_srgb(tmp_path):
     assert np.allclose(first.material.base_color[:3], srgb_to_linear(np.array([0.8, 0.25, 0.2])))
 
 
-NAMES = ["skin.png", '"skin.png"', "'skin.png'", "./skin.png", "C:\\scans\\job 7\\skin.png", "/home/you/skin.png", "..\\other\\skin.png",
+NAMES = ["skin.png", '"skin.png"', "'skin.png'", "./skin.png", "C:\\scans\\job 7\\skin.png", "/scans/job 7/skin.png", "..\\other\\skin.png",
          "SKIN.PNG", "skin.png -clamp on", "-s 1 1 1 -o 0 0 0 skin.png", "-blendu on -mm 0 1 -bm 1 skin.png", "skin.png  ", "file:///x/skin.png"]
 
 

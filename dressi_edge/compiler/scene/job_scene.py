@@ -27,7 +27,7 @@ from ..render import loss as losses
 from ..render.camera import rotation_rows
 from ..render.frame import Frame
 from ..render.light import Light
-from ..render.material import BlinnPhong, Lambert, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
 from ..render.part import Part
 from ..render.raster import Softness, renderer_of
@@ -302,7 +302,7 @@ class _Builder:
         if color is None:
             color = next((key for key in COLORS if named + key in self.optimized), None)
         if color is None and f"{named}color" not in self.optimized:
-            color = "texture" if mesh.texture is not None else "colors" if mesh.colors is not None and mesh.color_faces is None else None
+            color = "texture" if mesh.texture is not None else "colors" if mesh.colors is not None else None
         if color == "texture":
             if mesh.uvs is None:
                 raise InputError("material.color is \"texture\", but the mesh has no texture coordinates; use colors, or a mesh that "
@@ -310,8 +310,9 @@ class _Builder:
             start = np.full((*p.texture_size[::-1], 3), 0.5) if mesh.texture is None else mesh.texture
             return Texture(self.scene.parameter(f"{named}texture", start, *LIMITS["texture"], kind="image"), p.wrap or mesh.wrap)
         if color == "colors":
-            start = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None or mesh.color_faces is not None else mesh.colors
-            return Vertex(self.scene.parameter(f"{named}colors", start, *LIMITS["colors"], kind="table"))
+            start = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None else mesh.colors
+            own = self.scene.parameter(f"{named}colors", start, *LIMITS["colors"], kind="table")
+            return Vertex(own) if mesh.color_faces is None else Corner(own, mesh.color_faces)
         return self._setting(f"{named}color", color or (0.5, 0.5, 0.5))
 
     def _lights(self, p: _PartTable) -> list[Light]:
