@@ -2,9 +2,11 @@
 is to import; `F` has every op of the graph by name (docs/guide.md)."""
 from ..graph import functions as F
 from ..io.cameras import Camera, look_along, look_at, orbit
-from ..io.meshes import Mesh, load_mesh
+from ..io.mesh import Mesh, corner_normals, linear_mesh
+from ..io.meshes import load_mesh, load_parts
 from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
+from ..io.writers import save_mesh, save_parts
 from ..render.geometry import LargeSteps, blend_shapes, linear_model, rigid, similarity, skin
 from ..render.light import Light
 from ..render.loss import (
@@ -25,7 +27,7 @@ from ..render.loss import (
     ssim_loss,
     uniform_laplacian,
 )
-from ..render.material import BlinnPhong, Lambert, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
 from ..render.raster import HardSoftRas, Outline, Renderer, Softness
 from ..render.schedule import Schedule
@@ -35,10 +37,11 @@ from ..render.tone import encode_srgb
 from .problem import Loss, Problem
 from .scene import Scene
 
-__all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "F", "HardSoftRas", "Lambert", "LargeSteps",
-           "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene", "Schedule", "Sgd",
-           "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier",
-           "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2",
-           "landmarks", "limited", "linear_model", "load_mesh", "load_views", "look_along", "look_at", "mean_square", "normal_consistency",
-           "normal_loss", "orbit", "pear", "pyramid_l1", "rigid", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state",
-           "subdivide", "uniform_laplacian"]
+__all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "Corner", "F", "HardSoftRas", "Lambert",
+           "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene",
+           "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes",
+           "charbonnier", "corner_normals", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points",
+           "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh",
+           "load_parts", "load_views", "look_along", "look_at", "mean_square", "normal_consistency", "normal_loss", "orbit",
+           "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "similarity", "skin", "sphere", "ssim", "ssim_loss",
+           "state", "subdivide", "uniform_laplacian"]
