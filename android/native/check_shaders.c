@@ -56,6 +56,7 @@ static Reads check_pipeline(Reader *r, const Pipeline *p) {
     for (uint32_t k = 0; k < p->binding_count; k++) reads.is_integer[k] = UNUSED;
     check_stage(r, p, vertex, 1, subpass, &reads);
     check_stage(r, p, fragment, 16, subpass, &reads);
+    if (!p->topology && !vertex->writes_size) refuse(r, ".topology: points, of which the vertex shader gives no size");
     for (uint32_t k = 0; k < p->binding_count; k++)
         if (p->bindings[k].kind == 10 && (p->bindings[k].stages != 16 || !reads.of_fragment[k]))
             refuse(r, ".bindings[%u]: an input attachment belongs to the fragment shader, which must use it", k);

@@ -150,6 +150,7 @@ typedef struct Interface {
     Location inputs[MAX_LOCATIONS], outputs[MAX_LOCATIONS];
     uint8_t order[MAX_LOCATIONS]; /* of the inputs, as declared */
     uint64_t input_components, output_components;
+    bool writes_size; /* of points */
 } Interface;
 
 typedef struct Variant {

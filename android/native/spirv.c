@@ -348,6 +348,7 @@ static const Interface *interface_of(Module *m) {
         bool varying = storage == IN || storage == OUT;
         if (m->touched[x] && varying && !m->listed[x])
             FAIL(m, "id %u: an input or output that is used and not named by the entry point", x);
+        m->writes_size |= m->touched[x] && m->marks[x].has & BIT(BUILT_IN) && m->marks[x].built_in == 1;
         uint32_t allowed = FREE | (storage == UNIFORM_CONSTANT ? OF_IMAGES : varying ? OF_VARYINGS : 0);
         if (m->marks[x].has & ~allowed) FAIL(m, "id %u: a decoration that variables of its storage class have not", x);
         if (storage == UNIFORM_CONSTANT) bind(m, x, type, found, seen);
@@ -366,6 +367,7 @@ static const Interface *interface_of(Module *m) {
     if (m->stage == VERTEX_STAGE && found->input_count) FAIL(m, "takes vertex attributes; a bundle has none");
     found->input_components = components(found->inputs, extra[0]);
     found->output_components = components(found->outputs, extra[1]);
+    found->writes_size = m->writes_size;
     return found;
 }
 

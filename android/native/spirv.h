@@ -42,6 +42,7 @@ typedef struct Module {
     Mention *named, *moded;
     uint32_t named_count, moded_count;
     bool *is_named, *is_moded;
+    bool writes_size;           /* of points */
 } Module;
 
 /* The operands of the instruction at a word: n of them, after the first word. */

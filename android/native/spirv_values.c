@@ -23,6 +23,7 @@ static uint32_t part(Body *b, uint32_t kind, uint32_t index, uint32_t at) {
     if (m->closed[kind]) {
         const Member *member = find_member(m, kind, index);
         if (member && (member->built_in == 3 || member->built_in == 4)) WRONG(m, at, "built-in member %u, which needs a feature", index);
+        b->m->writes_size |= member && member->built_in == 1;
     }
     return part_of(m, found, index);
 }
