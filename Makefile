@@ -13,7 +13,7 @@ READY := $(VENV)/.ready
 .ONESHELL:
 .SHELLFLAGS := -ec
 .DELETE_ON_ERROR:
-.PHONY: setup test test-full test-drivers fuzz fuzz-text demo clean
+.PHONY: setup test test-full test-drivers fuzz fuzz-text fuzz-meshes demo clean
 export DRIVERS
 
 setup: $(READY)
@@ -34,6 +34,9 @@ fuzz: setup
 
 fuzz-text: setup
 	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_text.py $(or $(MUTATIONS),100000) $(or $(SEED),0)
+
+fuzz-meshes: setup
+	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_meshes.py $(or $(MUTATIONS),100000) $(or $(SEED),0)
 
 demo: setup
 	$(VENV)/bin/dressi-edge demo -o demo_out

@@ -10,6 +10,7 @@ from gltf_files import CORNER_UVS, SQUARE, TWO, GltfFile, checker
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError, InputWarning
+from dressi_edge.compiler.io import gltf
 from dressi_edge.compiler.io.images import linear_to_srgb, srgb_to_linear
 from dressi_edge.compiler.io.mesh import corner_normals
 from dressi_edge.compiler.io.meshes import load_mesh, load_parts
@@ -435,6 +436,15 @@ def test_indices_beyond_the_vertices_are_named(tmp_path):
     g = GltfFile()
     g.node([{"attributes": {"POSITION": g.accessor(SQUARE)}, "indices": g.accessor(np.array([0, 1, 9], np.uint8))}])
     with pytest.raises(InputError, match="primitive 0 names vertex 9, but there are 4, 0 to 3"):
+        load_mesh(g.save(tmp_path / "a.glb"))
+
+
+def test_instances_without_end_are_refused_before_they_are_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(gltf, "MAX_CORNERS", 100)
+    g = GltfFile()
+    at = g.accessor(np.arange(33, dtype=np.float32).reshape(11, 3))
+    g.square(extensions={"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": at}}})
+    with pytest.raises(InputError, match="more than 100 corners of faces, all instances counted"):
         load_mesh(g.save(tmp_path / "a.glb"))
 
 

@@ -17,7 +17,7 @@ from .images import linear_to_srgb
 from .pieces import Piece, Pieces, listed
 from .ply import strip_faces
 
-MAX_VERTICES = 1 << 25  # of all instances together
+MAX_CORNERS = 1 << 27  # of faces and vertices of all instances together
 MODES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 TRIANGLES, STRIP, FAN = 4, 5, 6
 ATTRIBUTES = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD", "JOINTS", "WEIGHTS")
@@ -45,7 +45,7 @@ class _Scene:
         self.nodes = document.list("nodes")
         self.left_out: dict[str, None] = {}
         self.positions: list[np.ndarray] = []
-        self.count = 0
+        self.count = self.corners = 0
         self._place()
         if document.list("animations"):
             self.left_out["animations"] = None
@@ -170,12 +170,14 @@ class _Scene:
             ranges[key] = self.count
             self.positions.append(world)
             self.count += count
-            if self.count > MAX_VERTICES:
-                raise InputError(f"{self.path} has more than {MAX_VERTICES} vertices, instances counted; at most as many are allowed")
         first = ranges[key]
         index = np.arange(count) if "indices" not in primitive else read(primitive["indices"], ("SCALAR",))[:, 0].astype(np.int64)
         if len(index) and (index.max() >= count or index.min() < 0):
             raise InputError(f"{where} names vertex {int(index.max())}, but there are {count}, 0 to {count - 1}; export it again")
+        self.corners += len(index) * (1 if mode == TRIANGLES else 3) + count
+        if self.corners > MAX_CORNERS:
+            raise InputError(f"{self.path} has more than {MAX_CORNERS} corners of faces, all instances counted; as many are allowed; "
+                             "load its parts from files of their own")
         faces = _faces(index, mode)
         faces = faces[:, ::-1] if flip else faces  # a mirror turns faces inside out
         colors = attribute("COLOR_0", ("VEC3", "VEC4"), True)

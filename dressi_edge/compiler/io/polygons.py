@@ -8,7 +8,7 @@ import numpy as np
 
 from ...cache.errors import InputError
 
-MAX_CORNERS = 20_000  # of a concave polygon: cutting takes time with the square of it
+MAX_CORNERS = 10_000  # of a concave polygon: cutting takes time with the square of it
 
 
 def triangulated(points: np.ndarray, starts: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
