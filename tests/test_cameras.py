@@ -1,6 +1,7 @@
 """Cameras of a scene: orthographic ones, principal points off the centre, pictures of different sizes, backgrounds; against rays cast
 through pixel centres and the brute-force oracle, which know cameras by their definition alone."""
 
+import warnings
 from dataclasses import replace
 
 import brute_force
@@ -26,6 +27,7 @@ from dressi_edge.compiler.scene import (
     l2,
     landmarks,
 )
+from dressi_edge.compiler.scene.sense import check, sight
 
 pytest_plugins = ["gpu"]
 
@@ -276,6 +278,21 @@ def test_what_a_camera_or_its_picture_cannot_be_is_named(make, message):
     with pytest.raises(InputError, match=message) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+def test_an_orthographic_start_makes_sense_by_its_own_depths():
+    """With clip coordinates whose w is 1, before a near plane of 2 and far from fields of view."""
+    camera = look_along((0, 0, 5), (0, 0, 0), (0, 1, 0), 400.0, 32, 32, near=2.0, far=9.0)
+    big = Mesh(MESH.positions * (80, 80, 1), MESH.faces)
+    found = sight(big, [camera])
+    assert found.seen.all() and found.nearer[0] == found.beyond[0] == 0
+    np.testing.assert_allclose(found.depth, (5 - MESH.positions[:, 2].max(), 5 - MESH.positions[:, 2].min()))
+    assert sight(big, [replace(camera, far=6.0)]).beyond[0] > 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check(big, [camera])
+    with pytest.raises(InputError, match="the mesh is in no view"):
+        check(Mesh(MESH.positions + (900, 0, 0), MESH.faces), [camera])
 
 
 def test_look_along_is_as_high_as_its_span():

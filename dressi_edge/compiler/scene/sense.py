@@ -46,12 +46,14 @@ def sight(mesh: Mesh, cameras: Sequence[Camera]) -> Sight:
     ahead, nearer, beyond = np.zeros(n), np.zeros(n), np.zeros(n)
     least, most = np.inf, -np.inf
     for k, camera in enumerate(cameras):
-        x, y, _, w = (few @ camera.clip_rows().T).T
+        x, y, z, w = (few @ camera.clip_rows().T).T
+        depth, visible = w, w >= camera.near
+        if camera.kind == "orthographic":  # neither plane cuts, and nothing is behind it
+            depth, visible = camera.near + z * (camera.far - camera.near), np.ones(len(w), bool)
         front = w > 0.0
-        ahead[k], nearer[k], beyond[k] = front.mean(), (front & (w < camera.near)).mean(), (w > camera.far).mean()
+        ahead[k], nearer[k], beyond[k] = front.mean(), (front & ~visible).mean(), (depth > camera.far).mean()
         if front.any():
-            least, most = min(least, float(w[front].min())), max(most, float(w[front].max()))
-        visible = w >= camera.near
+            least, most = min(least, float(depth[front].min())), max(most, float(depth[front].max()))
         seen[k] = bool((visible & (np.abs(x) < w) & (np.abs(y) < w)).any()) or _any_face(points @ camera.clip_rows().T, mesh.faces, camera)
         if seen[k] and visible.any():
             px, py = (x[visible] / w[visible] + 1.0) / 2.0 * camera.width, (y[visible] / w[visible] + 1.0) / 2.0 * camera.height
@@ -63,7 +65,8 @@ def sight(mesh: Mesh, cameras: Sequence[Camera]) -> Sight:
 def _any_face(clip: np.ndarray, faces: np.ndarray, camera: Camera) -> bool:
     """Whether some face may be in the picture: not all its corners are beyond one and the same of its sides, or nearer than near."""
     x, y, _, w = clip.T
-    beyond = np.stack([x < -w, x > w, y < -w, y > w, w < camera.near], axis=1)
+    behind = w < camera.near if camera.kind == "perspective" else np.zeros(len(w), bool)
+    beyond = np.stack([x < -w, x > w, y < -w, y > w, behind], axis=1)
     return bool((~beyond[faces].all(axis=1).any(axis=1)).any())
 
 
@@ -272,7 +275,7 @@ def _check_lens(cameras: Sequence[Camera], names: Sequence[str]) -> None:
         note(f"the principal point is outside the picture in {left} ({c.cx:g}, {c.cy:g} in {c.width}x{c.height}); {hint}")
     elif left := _some(far_off, names):
         note(f"the principal point is far from the middle of the picture in {left} ({c.cx:g}, {c.cy:g} in {c.width}x{c.height}); {hint}")
-    angles = np.degrees(2.0 * np.arctan([c.width / 2.0 / c.fx for c in cameras]))
+    angles = np.degrees(2.0 * np.arctan([c.width / 2.0 / c.fx if c.kind == "perspective" else 1.0 for c in cameras]))
     if angles.max() > 150.0 or angles.min() < 0.5:
         angle = angles.max() if angles.max() > 150.0 else angles.min()
         note(f"a field of view of {angle:.3g} degrees across; fl_x is in pixels, not in millimetres, and camera_angle_x in radians")
