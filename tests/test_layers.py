@@ -15,8 +15,9 @@ MODULES = sorted(COMPILER.rglob("*.py"))
 def imported(path: Path) -> set[str]:
     """The packages of the compiler that a module imports; "compiler" for the compiler's own __init__."""
     package = list(path.relative_to(COMPILER.parent).parts[:-1])
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    found, tree = set(), ast.parse(path.read_text(encoding="utf-8"))
+    tree.body = [n for n in tree.body if not (isinstance(n, ast.If) and getattr(n.test, "id", "") == "TYPE_CHECKING")]  # words of hints
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             base = package[:len(package) - node.level + 1] if node.level else ["elsewhere"]
             full = base + (node.module.split(".") if node.module else [])

@@ -6,7 +6,7 @@ from ..io.mesh import Mesh, corner_normals, linear_mesh
 from ..io.meshes import load_mesh, load_parts
 from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
-from ..io.writers import save_mesh, save_parts
+from ..io.writers import save_mesh, save_parts, save_png
 from ..render.geometry import LargeSteps, blend_shapes, linear_model, rigid, similarity, skin
 from ..render.light import Light
 from ..render.loss import (
@@ -40,8 +40,8 @@ from .scene import Scene
 __all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "Corner", "F", "HardSoftRas", "Lambert",
            "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene",
            "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes",
-           "charbonnier", "corner_normals", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb", "face_points",
-           "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh",
-           "load_parts", "load_views", "look_along", "look_at", "mean_square", "normal_consistency", "normal_loss", "orbit",
-           "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "similarity", "skin", "sphere", "ssim", "ssim_loss",
-           "state", "subdivide", "uniform_laplacian"]
+           "charbonnier", "corner_normals", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb",
+           "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model",
+           "load_mesh", "load_parts", "load_views", "look_along", "look_at", "mean_square", "normal_consistency",
+           "normal_loss", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png", "similarity",
+           "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]

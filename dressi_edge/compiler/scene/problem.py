@@ -125,6 +125,8 @@ class Problem:
             raise InputError("albedo texture needs a mesh with texture coordinates; use colors, or a mesh that has them")
         self.mesh, self.views, self.lights, self.origin = recentred(self.mesh, self.views, self.lights)
         self.cameras = self.views.cameras if isinstance(self.views, Views) else tuple(self.views)
+        if not self.cameras:
+            raise InputError("no cameras; at least one view is needed")
         if len(sizes := {(c.width, c.height) for c in self.cameras}) > 1:
             raise InputError(f"cameras have sizes {sorted(sizes)}; one size is needed")
         self.pivot = tuple(map(float, (self.mesh.positions.min(axis=0) + self.mesh.positions.max(axis=0)) / 2.0))

@@ -59,22 +59,21 @@ class Parameter:
 
 
 class Scene:
-    """cameras: one for each view. Where their pictures have different sizes every view is as large as the largest, and each picture is in
-    its upper left corner: `padded` makes such pictures, `frame.valid` is 1 inside. background: three numbers, or pictures (views, height,
-    width, 3), or a list of one for each camera. encode: from linear radiance to the colours of the pictures, such as `tone.encode_srgb`;
-    None leaves it linear. Raises InputError, GraphError; both name what was given and, where it is known, the line."""
+    """cameras: one for each view; none where nothing is seen, but images are fitted. Where their pictures have different sizes every view
+    is as large as the largest, and each picture is in its upper left corner: `padded` makes such pictures, `frame.valid` is 1 inside.
+    background: three numbers, or pictures (views, height, width, 3), or a list of one for each camera. encode: from linear radiance to the
+    colours of the pictures, such as `tone.encode_srgb`; None leaves it linear. Raises InputError, GraphError; both name what was given and,
+    where it is known, the line."""
 
-    def __init__(self, cameras: Sequence[Camera], background=(0.0, 0.0, 0.0), encode: Callable[[Node], Node] | None = None,
+    def __init__(self, cameras: Sequence[Camera] = (), background=(0.0, 0.0, 0.0), encode: Callable[[Node], Node] | None = None,
                  program: Program | None = None):
         self.cameras = tuple(cameras)
-        if not self.cameras:
-            raise InputError("no cameras; at least one view is needed")
-        sizes = np.array([(c.width, c.height) for c in self.cameras])
+        sizes = np.array([(c.width, c.height) for c in self.cameras] or [(1, 1)])
         self.width, self.height = map(int, sizes.max(0))
         self._sizes = sizes if (sizes != sizes[0]).any() else None
         self.program, self.encode = program or Program(), encode
-        self.atlas = Atlas.of(self.width, self.height, len(self.cameras))
-        self.views = fixed_views(self.cameras, (self.width, self.height))
+        self.atlas = Atlas.of(self.width, self.height, len(sizes))
+        self.views = fixed_views(self.cameras, (self.width, self.height)) if self.cameras else None
         self.parameters: dict[str, Parameter] = {}
         self.parts: list[Part] = []
         self.phases: list[str] = []
@@ -196,6 +195,8 @@ class Scene:
     def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0) -> Frame:
         """What the cameras see, by a renderer (`Outline()` unless given). With an order other than "batch" one view a step of `phase`; what
         it is compared with is then `frame.at(pictures)`."""
+        if not self.cameras:
+            raise InputError("no cameras; at least one view is needed")
         if not self.parts:
             raise InputError("the scene has no parts; add one before you look at it")
         if phase is None and order != "batch":

@@ -1,0 +1,44 @@
+"""The programs of docs/examples/ as they stand, with fewer pixels and steps: each recovers what it says, and leaves its picture."""
+import importlib.util
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
+SMALL = {  # what is given to main(), and what its numbers must say
+    "image_fit": ({"steps": 150}, lambda r: r["psnr"] > 28),
+    "pose": ({"size": 64, "steps": 200}, lambda r: r["start"]["degrees"] > 25 and r["end"]["degrees"] < 1 and r["end"]["shift"] < 0.02),
+    "two_objects": ({"size": 64, "steps": 150}, lambda r: min(r["start"].values()) > 0.15 and max(r["end"].values()) < 0.03),
+    "gloss": ({"size": 64, "steps": 150}, lambda r: r["start"] > 0.4 and r["end"] < 0.05 and r["texels"] > 0.3),
+    "blend_shapes": ({"size": 64, "steps": 120}, lambda r: r["end"] < r["start"] / 5),
+    "depth_normals": ({"size": 64, "steps": 120}, lambda r: r["end"] < r["start"] / 8),
+    "own_optimizer": ({"size": 48, "steps": 100}, lambda r: r["rmsprop"] < r["start"] / 50 and r["adam"] < r["start"] / 50),
+    "forward": ({"size": 96, "views": 4}, lambda r: 0.2 < r["covered"] < 0.6 and 1.5 < r["nearest"] < r["furthest"] < 3.0),
+    "numpy_loop": ({"size": 48, "steps": 40}, lambda r: r["end"] < r["start"] / 500),
+}
+
+
+def load(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: p.stem)
+def test_a_program_recovers_what_it_says(path, tmp_path):
+    options, right = SMALL[path.stem]
+    found = load(path).main(str(tmp_path), **options)
+    assert right(found), found
+    picture = np.asarray(Image.open(tmp_path / f"{path.stem}.png"))
+    assert picture.ndim == 3 and picture.std() > 5  # not one colour
+
+
+def test_the_page_shows_every_program():
+    page = (ROOT / "docs" / "gallery.md").read_text()
+    assert [p.stem for p in PROGRAMS if not (f"(examples/{p.name})" in page and f"(gallery/{p.stem}.png)" in page)] == []
+    assert [name for name in re.findall(r"\((gallery/\w+\.png)\)", page) if not (ROOT / "docs" / name).exists()] == []
