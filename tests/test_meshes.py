@@ -249,8 +249,10 @@ def test_parts_go_out_and_come_in_with_their_materials(tmp_path):
     wall, red = load_parts(tmp_path / "a.obj")
     assert np.allclose(wall.mesh.texture, skin, atol=0.5 / 255) and np.allclose(red.material.base_color[:3], (0.6, 0.05, 0.05), atol=1e-5)
     save_parts(tmp_path / "a.ply", parts)
-    colors = load_mesh(tmp_path / "a.ply").colors
-    assert np.allclose(colors[4:], linear_to_srgb(np.array((0.6, 0.05, 0.05))), atol=0.5 / 255)
+    wall, red = load_parts(tmp_path / "a.ply")
+    assert np.allclose(wall.mesh.texture, linear_to_srgb(srgb_to_linear(skin) * (0.5, 1, 1)), atol=0.5 / 255)
+    assert np.allclose(wall.mesh.uvs[wall.mesh.uv_faces], CORNER_UVS[TWO]) and red.mesh.uvs is None
+    assert np.allclose(red.mesh.colors, linear_to_srgb(np.array((0.6, 0.05, 0.05))), atol=0.5 / 255)
     with pytest.raises(InputError, match="there is no part"):
         save_parts(tmp_path / "b.glb", [])
 

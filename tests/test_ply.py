@@ -106,7 +106,7 @@ def test_textures_of_faces_by_number(tmp_path):
     uvs = [[0.3, 0.3, 0.7, 0.3, 0.7, 0.7]] * 2
     path = ply(tmp_path / "a.ply", xyz(), [[0, 1, 2], [0, 2, 3]], face_columns=[("texcoord", "f4", uvs), ("texnumber", "i4", [1, 0])],
                head="comment TextureFile 0.png\ncomment TextureFile 1.png")
-    assert [part.mesh.texture[0, 0, 0] for part in load_parts(path)] == [50 / 255, 200 / 255]
+    assert [part.mesh.texture[0, 0, 0] for part in load_parts(path)] == [200 / 255, 50 / 255]
     mesh = load_mesh(path)
     at = (mesh.uvs[mesh.uv_faces].mean(axis=1) * mesh.texture.shape[1::-1]).astype(int)
     assert np.allclose(mesh.texture[at[:, 1], at[:, 0], 0] * 255, [200, 50]) and mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]

@@ -25,7 +25,7 @@ def colour_of_corners(mesh: Mesh) -> np.ndarray:
     return mesh.texture[(uv[..., 1] * height).astype(int), (uv[..., 0] * width).astype(int)]
 
 
-@pytest.mark.parametrize("suffix", ["glb", "gltf", "obj"])
+@pytest.mark.parametrize("suffix", ["glb", "gltf", "obj", "ply"])
 def test_a_textured_mesh_reads_back_the_same(tmp_path, suffix):
     mesh = pear(64)
     save_mesh(tmp_path / f"pear.{suffix}", mesh)

@@ -269,9 +269,9 @@ def _by_texture(path: Path, piece: Piece, with_uv: np.ndarray, owner: np.ndarray
     number = np.zeros(len(piece.faces), np.int64)
     if texnumber is not None and texnumber.starts is None and len(owner) == len(number):
         number = texnumber.values.astype(np.int64)[owner]
-    pieces = []
-    for k in np.unique(np.where(with_uv, number, -1)):
-        keep, material = np.where(with_uv, number, -1) == k, Material()
+    pieces, number = [], np.where(with_uv, number, -1)
+    for k in dict.fromkeys(number.tolist()):
+        keep, material = number == k, Material()
         if 0 <= k < len(names):
             picture = Picture(f"{names[k]} (named in {path.name})", find_file(path.parent, names[k]))
             material = Material(names[k], base_texture=TextureMap(picture), stated=True)

@@ -50,20 +50,19 @@ def save_json(path: str | Path, value: Mapping) -> None:
 
 
 def save_mesh(path: str | Path, mesh: Mesh, unlit: bool = False) -> None:
-    """Writes a mesh as .glb or .gltf (its texture inside), .obj (with .mtl and .png beside it when there is a texture) or .ply (positions,
-    faces and colours; no uvs). Vertices keep their order and count; those that must be split, at seams, follow after the last.
+    """Writes a mesh with its texture or, without one, its colours: as .glb or .gltf (texture inside), .obj or .ply (texture as .png beside,
+    with .mtl). Vertices keep their order and count; those that must be split, at seams, follow after the last.
 
-    glTF holds the texture or, without one, the colours. unlit: it says that they are what one sees (KHR_materials_unlit); else they are
-    those of a diffuse surface.
+    unlit: glTF says that the colours are what one sees (KHR_materials_unlit); else they are those of a diffuse surface.
     """
-    if Path(path).suffix.lower() in (".glb", ".gltf") and mesh.texture is not None and mesh.uvs is not None:
+    if mesh.texture is not None and mesh.uvs is not None:
         mesh = replace(mesh, colors=None, color_faces=None)  # they would multiply the texture
     save_parts(path, [Part("surface", mesh, Material("surface", unlit=unlit))])
 
 
 def save_parts(path: str | Path, parts: Sequence[Part]) -> None:
     """Writes parts with their materials, as `save_mesh` does; `Part.mesh` has the base colour's uvs and texels. OBJ has base colours,
-    emission and the PBR extension; PLY has base colours as colours of vertices."""
+    emission and the PBR extension; PLY has pictures and colours of vertices, times base colours."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -71,11 +70,9 @@ def save_parts(path: str | Path, parts: Sequence[Part]) -> None:
                          f"known are {', '.join(MESH_SUFFIXES)}")
     if not parts:
         raise InputError(f"cannot write mesh {path}: there is no part; give at least one")
-    if suffix == ".obj":
-        for name, data in encode_obj(parts, path.stem).items():  # what the OBJ names is there before it
-            write_bytes(path.with_name(name), data)
-    elif suffix == ".ply":
-        write_bytes(path, encode_ply(parts))
+    if suffix in (".obj", ".ply"):
+        for name, data in (encode_obj if suffix == ".obj" else encode_ply)(parts, path.stem).items():  # what the mesh names before it
+            write_bytes(path if name == f"{path.stem}{suffix}" else path.with_name(name), data)
     else:
         write_bytes(path, encode_gltf(parts, binary=suffix == ".glb"))
 
