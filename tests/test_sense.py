@@ -159,6 +159,13 @@ def test_a_face_that_covers_the_picture_is_seen_though_no_corner_is():
     assert not sense.sight(Mesh(wall.positions + (0, -160, 0), wall.faces), level).seen.any(), "below"
 
 
+def test_orthographic_cameras_see_whatever_their_near():
+    flat = tuple(replace(c, kind="orthographic", fx=14.0, fy=14.0, near=2.0, far=9.0) for c in cameras())
+    assert sense.sight(flag(), flat).seen.all() and told(flag(), photos(flag(), flat)) == ("", "")
+    kind, text = told(Mesh(flag().positions + (0, 40.0, 0), flag().faces), photos(flag(), flat))
+    assert kind == "error" and "the mesh is in no view" in text
+
+
 def test_a_job_is_judged_before_anything_is_built(tmp_path, monkeypatch):
     monkeypatch.setattr("dressi_edge.compiler.scene.job.Problem", None)
     path = write_job(tmp_path)

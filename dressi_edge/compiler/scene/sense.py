@@ -36,25 +36,28 @@ class Sight:
     depth: tuple[float, float]
 
 
-def sight(mesh: Mesh, cameras: Sequence[Camera]) -> Sight:
-    """How the cameras see the mesh."""
+def sight(mesh: Mesh, cameras: Sequence[Camera], exact: bool = True) -> Sight:
+    """How the cameras see the mesh. exact: faces of which no vertex is in a picture are looked at too."""
     points = np.c_[mesh.positions, np.ones(len(mesh.positions))]
     few = points[:: -(-len(points) // SAMPLES)]
     few = np.concatenate([few, points[mesh.positions.argmin(0)], points[mesh.positions.argmax(0)]])
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    corners = np.array([(*np.where(bits, high, low), 1.0) for bits in np.ndindex(2, 2, 2)])
     n = len(cameras)
     seen, boxes = np.zeros(n, bool), np.full((n, 4), np.nan)
     ahead, nearer, beyond = np.zeros(n), np.zeros(n), np.zeros(n)
     least, most = np.inf, -np.inf
     for k, camera in enumerate(cameras):
-        x, y, z, w = (few @ camera.clip_rows().T).T
-        depth, visible = w, w >= camera.near
-        if camera.kind == "orthographic":  # neither plane cuts, and nothing is behind it
-            depth, visible = camera.near + z * (camera.far - camera.near), np.ones(len(w), bool)
-        front = w > 0.0
+        x, y, _, w = (few @ camera.clip_rows().T).T
+        depth, eye = -(few @ camera.world_to_camera[2]), camera.kind == "perspective"
+        front = depth > 0.0 if eye else np.ones(len(few), bool)  # an orthographic camera sees what is behind it too
+        visible = depth >= camera.near if eye else front
         ahead[k], nearer[k], beyond[k] = front.mean(), (front & ~visible).mean(), (depth > camera.far).mean()
         if front.any():
             least, most = min(least, float(depth[front].min())), max(most, float(depth[front].max()))
-        seen[k] = bool((visible & (np.abs(x) < w) & (np.abs(y) < w)).any()) or _any_face(points @ camera.clip_rows().T, mesh.faces, camera)
+        seen[k] = bool((visible & (np.abs(x) < w) & (np.abs(y) < w)).any())
+        seen[k] = seen[k] or exact and bool((~_beyond(corners @ camera.clip_rows().T, camera).all(axis=0)).all()) and _any_face(
+            points @ camera.clip_rows().T, mesh.faces, camera)
         if seen[k] and visible.any():
             px, py = (x[visible] / w[visible] + 1.0) / 2.0 * camera.width, (y[visible] / w[visible] + 1.0) / 2.0 * camera.height
             box = np.array([px.min(), py.min(), px.max(), py.max()])
@@ -64,10 +67,14 @@ def sight(mesh: Mesh, cameras: Sequence[Camera]) -> Sight:
 
 def _any_face(clip: np.ndarray, faces: np.ndarray, camera: Camera) -> bool:
     """Whether some face may be in the picture: not all its corners are beyond one and the same of its sides, or nearer than near."""
+    return bool((~_beyond(clip, camera)[faces].all(axis=1).any(axis=1)).any())
+
+
+def _beyond(clip: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, 5) of points in clip coordinates: beyond the left, right, upper and lower side of the picture, and nearer than near."""
     x, y, _, w = clip.T
-    behind = w < camera.near if camera.kind == "perspective" else np.zeros(len(w), bool)
-    beyond = np.stack([x < -w, x > w, y < -w, y > w, behind], axis=1)
-    return bool((~beyond[faces].all(axis=1).any(axis=1)).any())
+    near = camera.near if camera.kind == "perspective" else -np.inf
+    return np.stack([x < -w, x > w, y < -w, y > w, w < near], axis=1)
 
 
 # ---- conventions
@@ -127,10 +134,10 @@ def _lens(cameras: Sequence[Camera]) -> Iterator[tuple[str, str, list[Camera]]]:
 def explained(mesh: Mesh, cameras: Sequence[Camera], masks: np.ndarray | None) -> Iterator[tuple[str, str, Sight, float]]:
     """Of each convention: what was likely meant, what helps, the sight it gives, and its agreement with the masks' boxes (n, 4)."""
     for cause, cure, change in CONVENTIONS:
-        found = sight(mesh, tried := [replace(c, world_to_camera=inverse_rigid(change(c.camera_to_world))) for c in cameras])
+        found = sight(mesh, tried := [replace(c, world_to_camera=inverse_rigid(change(c.camera_to_world))) for c in cameras], False)
         yield cause, cure, found, agreement(found, masks, tried)
     for cause, cure, tried in _lens(cameras):
-        found = sight(mesh, tried)
+        found = sight(mesh, tried, False)
         yield cause, cure, found, agreement(found, masks, tried)
 
 
@@ -201,7 +208,7 @@ def _check_place(mesh: Mesh, cameras: Sequence[Camera], names: Sequence[str], fo
     n, now = len(cameras), agreement(found, masks, cameras)
     wanted = np.ones(n, bool) if masks is None or not np.isfinite(masks).any() else np.isfinite(masks).all(axis=1)
     missing = wanted & ~found.seen
-    best = max(explained(mesh, cameras, masks), key=lambda e: (e[2].seen[wanted].mean(), e[3]), default=None) if missing.any() or (
+    best = max(explained(mesh, cameras, masks), key=lambda e: (round(e[2].seen[wanted].mean(), 2), round(e[3], 2))) if missing.any() or (
         masks is not None and now < 0.3) else None
     better = best is not None and best[2].seen[wanted].mean() >= 0.9 and best[3] > max(0.1, 2.0 * now)
     if not found.seen.any() or better and missing.mean() > 0.5:
@@ -275,7 +282,9 @@ def _check_lens(cameras: Sequence[Camera], names: Sequence[str]) -> None:
         note(f"the principal point is outside the picture in {left} ({c.cx:g}, {c.cy:g} in {c.width}x{c.height}); {hint}")
     elif left := _some(far_off, names):
         note(f"the principal point is far from the middle of the picture in {left} ({c.cx:g}, {c.cy:g} in {c.width}x{c.height}); {hint}")
-    angles = np.degrees(2.0 * np.arctan([c.width / 2.0 / c.fx if c.kind == "perspective" else 1.0 for c in cameras]))
+    angles = np.degrees(2.0 * np.arctan([c.width / 2.0 / c.fx for c in cameras if c.kind == "perspective"]))
+    if not len(angles):
+        return
     if angles.max() > 150.0 or angles.min() < 0.5:
         angle = angles.max() if angles.max() > 150.0 else angles.min()
         note(f"a field of view of {angle:.3g} degrees across; fl_x is in pixels, not in millimetres, and camera_angle_x in radians")
