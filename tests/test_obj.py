@@ -237,6 +237,14 @@ def test_scale_offset_and_clamp_of_a_map_are_applied(tmp_path):
     assert np.allclose(mesh.uvs[mesh.uv_faces], (up * (1, -1) + (0, 1))[[[0, 1, 2], [0, 2, 3]]]) and mesh.wrap == "clamp"
 
 
+def test_what_only_some_faces_have_is_noted_where_it_is_left_out(tmp_path):
+    with pytest.warns(InputWarning, match="some faces: no texture coordinates; those of the other parts are left out"):
+        assert load_mesh(write(tmp_path, SQUARE + "f 1/1 2/2 3/3\nf 1 3 4\n")).uvs is None
+    path = write(tmp_path, "mtllib a.mtl\nusemtl m\n" + SQUARE + FACE, "newmtl m\nKd 1 0 0\nKe 1 1 0\n")
+    with pytest.warns(InputWarning, match="not used by a single mesh: emission"):
+        assert np.allclose(load_mesh(path).colors, (1, 0, 0))
+
+
 def test_a_missing_picture_is_an_error_that_names_it_and_a_missing_library_a_note(tmp_path):
     path = write(tmp_path, "mtllib a.mtl\nusemtl m\n" + SQUARE + FACE, "newmtl m\nKd 1 0 0\nmap_Kd skn.png\n")
     with pytest.raises(InputError, match=r"image skn.png \(named in a.mtl\) does not exist"):

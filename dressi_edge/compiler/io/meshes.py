@@ -125,8 +125,11 @@ def _joined(path: Path, pieces: Pieces, given: bool) -> Mesh:
             white = [(np.ones((1, 3)), np.zeros_like(part.faces)) for part in parts]
             mesh = _with_colors(mesh, [w if colors is None else colors for colors, w in zip(stated, white)])
         uvs = [_uv_of(part) for part in parts]
-        if all(uv is not None for uv in uvs):
+        bare = [part.name or "some faces" for part, uv in zip(parts, uvs) if uv is None]
+        if not bare:
             mesh = replace(mesh, **_compact("uvs", "uv_faces", uvs))
+        elif len(bare) < len(parts):
+            note(f"{path}: {listed(bare)}: no texture coordinates; those of the other parts are left out")
     _warn_of_more(path, parts)
     orders = [part.order for part in parts]
     return mesh if any(order is None for order in orders) or len(parts) == 1 else _reordered(mesh, np.argsort(np.concatenate(orders)))
@@ -234,9 +237,10 @@ def _part(path: Path, pieces: Pieces, k: int) -> Part:
 
 def _warn_of_more(path: Path, parts: Sequence[Piece]) -> None:
     """One line about what materials have and one mesh has not."""
-    maps = [name for part in parts for name in part.material.extra_maps]
+    maps = [f"{name} maps" for part in parts for name in part.material.extra_maps]
+    maps += ["emission" for part in parts if any(part.material.emissive) and part.material.emissive_texture is None]
     if maps:
-        note(f"{path}: {listed(maps)} maps are not used by a single mesh")
+        note(f"{path}: not used by a single mesh: {listed(maps)}")
     clear = [part.material.name or part.name for part in parts if part.material.alpha_mode != "OPAQUE"]
     if clear:
         note(f"{path}: {listed(clear)}: transparency is not drawn")
