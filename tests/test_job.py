@@ -12,8 +12,10 @@ from dressi_edge.cache.errors import InputError
 from dressi_edge.compiler.io.images import srgb_to_linear
 from dressi_edge.compiler.io.shapes import icosphere
 from dressi_edge.compiler.io.writers import save_mesh, save_png
+from dressi_edge.compiler.render.optimizer import Adam, AdamUniform, AdamW, Clipped, Sgd
 from dressi_edge.compiler.scene.job import load_job
-from dressi_edge.compiler.scene.sections import softness_of
+from dressi_edge.compiler.scene.sections import optimizer_of, softness_of
+from dressi_edge.compiler.scene.tables import Table
 
 
 def replaced(old, new):
@@ -70,6 +72,15 @@ def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path
     assert load_job(write_job(tmp_path, replaced("delta = 0.0", "r_fraction = 0.1"))).phases
 
 
+@pytest.mark.parametrize("given, expected", [
+    ({"optimizer": "adam_uniform", "rate": 0.1, "shared": "vector"}, AdamUniform(0.1, shared="vector")),
+    ({"optimizer": "adamw", "rate": 0.1, "decay": 0.3, "betas": [0.8, 0.9]}, AdamW(0.1, (0.8, 0.9), decay=0.3)),
+    ({"rate": 0.1, "clip_norm": 2, "clip_value": 0.5}, Clipped(Adam(0.1), 0.5, 2)),
+    ({"optimizer": "sgd", "rate": 0.1, "clip_value": 0.5}, Clipped(Sgd(0.1), 0.5))])
+def test_a_parameters_table_is_its_optimizer(given, expected):
+    assert optimizer_of(Table({"colors": given}, "phase[0].optimize", ("colors",), "job.toml"), "colors", 10) == expected
+
+
 @pytest.mark.parametrize("old, new, expected", [
     ("[mesh]", "[meshes]", "meshes is an unknown key; did you mean mesh?"),
     ("radius = 0.5", "radious = 0.5", "mesh.sphere.radious is an unknown key; did you mean radius?"),
@@ -79,6 +90,8 @@ def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path
     ("weight = 0.05", "wieght = 0.05", "phase[0].loss[1].wieght is an unknown key; did you mean weight?"),
     ("end = 0.001", "stop = 0.001", "phase[0].optimize.vertices.rate.stop is an unknown key"),
     ("momentum = 0.5", "momentun = 0.5", "phase[1].optimize.colors.momentun is an unknown key; did you mean momentum?"),
+    ("momentum = 0.5", "clip_norm = 0", "phase[1].optimize.colors.clip_norm is 0; a number above 0 is needed"),
+    ("momentum = 0.5", "decay = 0.1", "decay is no setting of sgd; allowed: rate momentum nesterov"),
     ("momentum = 0.5", "betas = [0.9, 0.99]", "betas is no setting of sgd; allowed: rate momentum nesterov"),
     ("r = 2.0", "r = -2.0", "render.r is -2.0; a number above 0 is needed"),
     ("r = 2.0", "r = 0", "render.r is 0; a number above 0 is needed"),
@@ -101,7 +114,7 @@ def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path
     ("optimize.colors", "optimize.colours", "no parameter 'colours'; there are: vertices colors"),
     ("optimize.colors", "optimize.texture", "no parameter 'texture'"),
     ("rate = 0.1", "rate = \"fast\"", "phase[1].optimize.colors: rate is 'fast'; a finite number of fp32 is needed"),
-    ("\"sgd\"", "\"lbfgs\"", "phase[1].optimize.colors.optimizer is 'lbfgs'; allowed: adam sgd"),
+    ("\"sgd\"", "\"lbfgs\"", "phase[1].optimize.colors.optimizer is 'lbfgs'; allowed: adam adamw adam_uniform sgd"),
     ("kind = \"silhouette\"", "kind = \"silhouete\"", "phase[0].loss[0].kind is 'silhouete'; did you mean silhouette?"),
     ("kind = \"laplacian\"", "kind = \"laplacian\"\nnorm = \"l1\"", "norm is no setting of loss laplacian"),
     ("norm = \"l1\"", "norm = \"l3\"", "phase[1].loss[0].norm is 'l3'; did you mean l2? allowed: l1 l2"),

@@ -155,14 +155,14 @@ def halves(x):
 @pytest.mark.parametrize("levels, masked", [(1, False), (2, False), (4, True)])
 def test_the_pyramid_is_the_mean_of_the_l1_of_each_half(levels, masked):
     def loop(a, b):
-        cells, found = cells_of((a - b) * (MASK[..., None] if masked else 1.0)), []
+        cells, found = cells_of((a - b) * (mask[..., None] if masked else 1.0)), []
         for _ in range(levels):
             found.append(np.mean([abs(c).mean() for c in cells]))
             cells = halves(cells)
         return np.mean(found)
 
-    mask = F.constant(MASK[..., None]) if masked else None
-    agrees(lambda a, b: pyramid_l1(a, b, levels, CELL, mask), loop)
+    mask = MASK[:6]
+    agrees(lambda a, b: pyramid_l1(a, b, levels, CELL, F.constant(mask[..., None]) if masked else None), loop, size=(14, 6))
 
 
 def test_the_pyramid_draws_a_blob_to_where_it_should_be_though_they_do_not_meet():

@@ -19,6 +19,8 @@ from ..graph.optable import apply, as_node
 from ..graph.program import Program
 from .schedule import Schedule
 
+SHARED = ("parameter", "vector")
+
 
 def _fraction(name: str, x) -> None:
     if isinstance(x, bool) or not isinstance(x, (int, float)) or not 0 <= x < 1:
@@ -211,8 +213,8 @@ class AdamUniform:
 
     def __post_init__(self) -> None:
         _check_adam(self)
-        if self.shared not in ("parameter", "vector"):
-            raise InputError(f"shared is {self.shared!r:.40}; parameter or vector is allowed")
+        if self.shared not in SHARED:
+            raise InputError(f"shared is {self.shared!r:.40}; {' or '.join(SHARED)} is allowed")
 
     def update(self, program: Program, name: str, parameter: Node, gradient: Node, step: Node, *, low=None, high=None,
                mask: Node | None = None) -> dict[str, Node]:

@@ -11,14 +11,16 @@ from ..io.shapes import sphere
 from ..io.views import Views, load_gltf_views, load_views
 from ..render.light import KINDS as LIGHTS
 from ..render.light import Light
-from ..render.optimizer import Adam, Sgd
+from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from .tables import NEEDED, Table
 
 MESH = ("path", "sphere", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
-OPTIMIZERS = {"adam": (Adam, ("rate", "betas", "epsilon")), "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
+ADAM = ("rate", "betas", "epsilon")
+OPTIMIZERS = {"adam": (Adam, ADAM), "adamw": (AdamW, (*ADAM, "decay")), "adam_uniform": (AdamUniform, (*ADAM, "shared")),
+              "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
 
 
 def mesh_of(t: Table, folder: Path) -> Callable[[], Mesh]:
@@ -102,9 +104,10 @@ def light_of(t: Table) -> Light:
     return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3))
 
 
-def optimizer_of(outer: Table, key: str, steps: int) -> Adam | Sgd:
+def optimizer_of(outer: Table, key: str, steps: int) -> Optimizer:
+    """Reads a parameter's table; clipped where it says so."""
     every = tuple(dict.fromkeys(k for _, keys in OPTIMIZERS.values() for k in keys))
-    t = outer.table(key, ("optimizer", *every))
+    t = outer.table(key, ("optimizer", *every, "clip_value", "clip_norm"))
     kind = t.word("optimizer", "adam", tuple(OPTIMIZERS))
     make, keys = OPTIMIZERS[kind]
     if extra := [k for k in t.has(*every) if k not in keys]:
@@ -112,11 +115,15 @@ def optimizer_of(outer: Table, key: str, steps: int) -> Adam | Sgd:
     given = {"rate": schedule_of(t, "rate", steps)}
     if t.has("betas"):
         given["betas"] = t.numbers("betas", 2, low=0, high=1)
-    for name in t.has("epsilon", "momentum"):
+    for name in t.has("epsilon", "momentum", "decay"):
         given[name] = t.number(name, low=0)
+    if t.has("shared"):
+        given["shared"] = t.word("shared", allowed=SHARED)
     if t.has("nesterov"):
         given["nesterov"] = t.flag("nesterov", False)
-    return t.checked(make, **given)
+    clip = {name: t.number(f"clip_{name}", None, 0, above=True) for name in ("value", "norm")}
+    made = t.checked(make, **given)
+    return t.checked(Clipped, made, **clip) if any(clip.values()) else made
 
 
 def schedule_of(t: Table, key: str, steps: int, default=NEEDED) -> Schedule:
