@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import base64
 import struct
-from functools import cached_property
 from pathlib import Path
 from urllib.parse import unquote_to_bytes
 
@@ -45,6 +44,7 @@ class Document:
         if unread := [str(name) for name in self.json.get("extensionsUsed", []) if str(name) not in READ | HARMLESS]:
             note(f"{path}: glTF extensions {listed(unread)} are not read; what the file has without them is used")
         self._buffers: dict[int, bytes] = {}
+        self._pictures: dict[int, Picture] = {}
 
     def list(self, key: str) -> list:
         """The top-level list of that name, of objects."""
@@ -155,12 +155,10 @@ class Document:
         return values
 
     def picture(self, index: int) -> Picture:
-        """The image of that number."""
-        return self._pictures[index] if index in self._pictures else self._pictures.setdefault(index, self._picture(index))
-
-    @cached_property
-    def _pictures(self) -> dict[int, Picture]:
-        return {}
+        """The image of that number, one `Picture` for all textures that name it."""
+        if index not in self._pictures:
+            self._pictures[index] = self._picture(index)
+        return self._pictures[index]
 
     def _picture(self, index: int) -> Picture:
         entry = self.get("images", index)

@@ -12,7 +12,6 @@ from .mesh import Mesh
 from .textures import Picture
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-GLTF_WRAPS = ("repeat", "clamp", "mirror")
 
 
 @dataclass(frozen=True)
