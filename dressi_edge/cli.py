@@ -51,6 +51,7 @@ def _steps(text: str) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
+    """All commands and their arguments."""
     top = _Parser(prog="dressi-edge", description="A differentiable renderer on plain Vulkan: images in, mesh and texture out.",
                   epilog="Environment: DRESSI_DEVICE, DRESSI_DEBUG, DRESSI_DUMP, DRESSI_CACHE; see docs/job.md.")
     top.add_argument("--version", nargs=0, action=_Version, help="print the version")

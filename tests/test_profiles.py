@@ -10,7 +10,7 @@ import pytest
 
 from dressi_edge.cache.errors import ProfileError
 from dressi_edge.cache.limits import FEATURES, FORMATS, LIMITS
-from dressi_edge.cache.profile import OUTSIDE_READ, STATUS, Profile, canonical, folder, from_device, merge, misfit, profile_names
+from dressi_edge.cache.profile import STATUS, Profile, canonical, folder, from_device, merge, misfit, profile_names
 from dressi_edge.cache.profile_check import check
 from dressi_edge.cache.profile_file import MAX_FILE_BYTES, from_khronos, to_json
 
@@ -46,7 +46,7 @@ def test_file_is_sound_and_survives_a_round_trip_byte_for_byte(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_value_has_a_source(name):
     profile = Profile.load(name)
-    for key in (*profile.limits, *profile.features, *profile.formats, "tile_bits", "outside_read", "compute", "prefer_fp16"):
+    for key in (*profile.limits, *profile.features, *profile.formats, "tile_bits", "prefer_fp16"):
         source = profile.source(key)
         assert source["source"] and source["status"] in STATUS, key
 
@@ -157,8 +157,7 @@ def random_profile(rng, name):
     features = {k: rng.random() < 0.5 for k in FEATURES if rng.random() < 0.6 and k != "robustBufferAccess"}
     formats = {k: v | ({"filter"} if rng.random() < 0.5 else set()) for k, v in FORMATS.items() if rng.random() < 0.6}
     return Profile(name, limits=limits, features=features, formats=formats, tile_bits=rng.choice([None, 128, 256]),
-                   max_merged_attachments=rng.choice([None, 8, 9]), outside_read=rng.choice(OUTSIDE_READ),
-                   compute=rng.random() < 0.5, prefer_fp16=rng.random() < 0.5, quirks=rng.sample("abc", rng.randint(0, 3)))
+                   max_merged_attachments=rng.choice([None, 8, 9]), prefer_fp16=rng.random() < 0.5)
 
 
 @pytest.mark.parametrize("seed", range(50))
@@ -172,9 +171,7 @@ def test_merge_is_commutative_associative_idempotent_and_never_above_a_member(se
     needs = all_three["limits"] | {k: v for k, v in all_three["features"].items() if v} | all_three["formats"]
     for member in (a, b, c):
         assert misfit(needs, member) == []
-        assert set(member.quirks) <= set(all_three["quirks"])
         assert member.tile_bits is None or all_three["tile_bits"] <= member.tile_bits
-        assert member.compute or not all_three["compute"]
 
 
 def test_merge_of_all_files_is_sound_and_fits_each():
@@ -199,8 +196,8 @@ def test_misfit_names_the_thing_what_is_needed_and_what_is_there():
     assert misfit({"maxViewportDimensions": [4096, 8192]}, floor) == [
         "maxViewportDimensions: needs 4096 8192, vulkan_min has 4096 4096"]
     assert misfit({"nonCoherentAtomSize": 64}, floor) == ["nonCoherentAtomSize: needs 64, vulkan_min has 256"]
-    assert misfit({"geometryShader": True, "compute": True, "wideLines": False}, floor) == [
-        "compute: needed, vulkan_min has none", "geometryShader: needed, vulkan_min has none"]
+    assert misfit({"geometryShader": True, "wideLines": False}, floor) == [
+        "geometryShader: needed, vulkan_min has none"]
     assert misfit({"R32_SFLOAT": ["color", "blend"], "VK_FORMAT_R32_SINT": ["color"]}, floor) == [
         "R32_SFLOAT: needs blend color, vulkan_min has color sampled storage"]
     assert misfit({"maxTeapots": 3}, floor) == ["maxTeapots: needs 3, vulkan_min says nothing of it"]
@@ -250,9 +247,9 @@ def test_from_device_takes_what_a_driver_reports_and_leaves_out_the_rest():
     limits = {"maxColorAttachments": 8, "maxViewportDimensions": [8192, 8192], "timestampComputeAndGraphics": 1}
     profile = from_device(limits | {"maxTeapots": 1}, {"geometryShader": 1, "logicOp": 0},
                           {"VK_FORMAT_R32_SFLOAT": ["VK_FORMAT_FEATURE_SAMPLED_IMAGE_BIT", "color", "storage", "VK_OTHER"],
-                           "R5G6B5": ["color"]}, "here", compute=True)
+                           "R5G6B5": ["color"]}, "here")
     assert dict(profile.limits) == limits | {"maxViewportDimensions": (8192, 8192), "timestampComputeAndGraphics": True}
-    assert dict(profile.features) == {"geometryShader": True} and profile.compute
+    assert dict(profile.features) == {"geometryShader": True}
     assert dict(profile.formats) == {"R32_SFLOAT": {"sampled", "color", "storage"}}
     assert faults(profile) == [] and Profile.loads(to_json(profile)) == profile
     assert profile.source("maxColorAttachments")["status"] == "measured"
@@ -319,9 +316,9 @@ HOSTILE = {
     "unknown format": (broken(lambda r: at_formats(r).update(VK_FORMAT_X={})), "unknown key 'VK_FORMAT_X'"),
     "unknown flag": (broken(lambda r: at_formats(r)["VK_FORMAT_R8_UNORM"]["VkFormatProperties"].update(
         optimalTilingFeatures=["VK_FORMAT_FEATURE_FLY_BIT"])), "unknown flag 'VK_FORMAT_FEATURE_FLY_BIT'"),
-    "bad read mode": (broken(lambda r: r["dressi_edge"].update(outside_read="guess")), "must be texel_fetch or input"),
+    "key of ours": (broken(lambda r: r["dressi_edge"].update(outside_read="guess")), "unknown key 'outside_read'"),
     "no tile": (broken(lambda r: r["dressi_edge"].update(tile_bits=0)), "tile_bits: must be a whole number from 1"),
-    "quirks a string": (broken(lambda r: r["dressi_edge"].update(quirks="x")), "quirks: must be a list"),
+    "half a string": (broken(lambda r: r["dressi_edge"].update(prefer_fp16="x")), "prefer_fp16: must be true or false"),
     "bad status": (broken(lambda r: r["dressi_edge"]["sources"]["*"].update(status="sure")), "status must be one of measured"),
     "source of nothing": (broken(lambda r: r["dressi_edge"]["sources"].update(maxTeapots={"source": "", "status": "assumed"})),
                           "unknown key 'maxTeapots'"),

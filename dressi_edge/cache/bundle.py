@@ -56,6 +56,7 @@ class Bundle:
         return self.description["profile"]["name"]
 
     def blob(self, k: int) -> memoryview:
+        """The bytes of a blob, read-only."""
         offset, size, _ = self.description["blobs"][k]
         return self._data[offset:offset + size]
 

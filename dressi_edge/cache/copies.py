@@ -20,6 +20,7 @@ def kind_of(d: Mapping, plan: Mapping, before: Sequence[str]) -> str:
 
 
 def kinds(d: Mapping) -> list[str]:
+    """Of each plan, in order."""
     found: list[str] = []
     for plan in d["plans"]:
         found.append(kind_of(d, plan, found))

@@ -13,6 +13,7 @@ MAX_TABLE_ROWS = 4096
 
 
 def is_int(vtype: str) -> bool:
+    """Whether a type holds integers."""
     return vtype.startswith("i")
 
 

@@ -106,6 +106,7 @@ FORMATS = {name: frozenset(features.split()) for name, features in {
 
 
 def show(value) -> str:
+    """A value, cut where it is long."""
     return (text := repr(value))[:60] + ("..." if len(text) > 60 else "")
 
 
@@ -113,6 +114,7 @@ NAMED = 24  # of the names that an error lists
 
 
 def close(name: str, known: Iterable[str], cutoff: float) -> list[str]:
+    """The known name most like this one, if any is like it enough, in a list."""
     import difflib
 
     return difflib.get_close_matches(name, list(known), 1, cutoff)
@@ -125,6 +127,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def an_object(value, where: str, keys: Iterable[str] | None = None, required: bool = False) -> dict:
+    """A JSON object, of these keys alone where they are given, with all of them if `required`. Raises ProfileError."""
     if not isinstance(value, dict):
         raise ProfileError(f"{where}: must be an object, found {show(value)}")
     for k in value if keys is not None else ():
@@ -140,12 +143,14 @@ _WORDS = {bool: "true or false", str: "a string", list: "a list"}
 
 
 def typed(value, kind: type, where: str):
+    """A value of this type, which a boolean is not of int. Raises ProfileError."""
     if type(value) is not kind:
         raise ProfileError(f"{where}: must be {_WORDS[kind]}, found {show(value)}")
     return value
 
 
 def number(value, where: str, low=0, whole=True):
+    """A finite number from `low` to 2^64 - 1. Raises ProfileError."""
     ok = type(value) is int or (not whole and type(value) is float and math.isfinite(value))
     if not ok or not low <= value < 1 << 64:
         kind = "a whole number" if whole else "a number"
@@ -154,6 +159,7 @@ def number(value, where: str, low=0, whole=True):
 
 
 def limit_value(name: str, value, where: str):
+    """The value of a limit, of its kind. Raises ProfileError."""
     kind, floor = LIMITS[name]
     if kind == "flag":
         return typed(value, bool, where)
@@ -178,8 +184,10 @@ def stricter(kind: str, a, b):
 
 
 def enough(kind: str, need, have) -> bool:
+    """Whether a value of a limit satisfies a need."""
     return stricter(kind, need, have) == need
 
 
 def text_of(value) -> str:
+    """A limit's value as people read it."""
     return " ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)

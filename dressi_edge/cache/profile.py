@@ -37,17 +37,14 @@ if TYPE_CHECKING:  # files, JSON and suggestions are imported where they are use
     from pathlib import Path
 
 STATUS = ("measured", "specified", "assumed")  # best first
-OUTSIDE_READ = ("texel_fetch", "input_attachment")  # the first wins a merge: it needs no slot and no tile memory
-BLOCK = ("description", "tile_bits", "max_merged_attachments", "outside_read", "compute", "prefer_fp16",
-          "device_local_lazily_allocated", "quirks", "sources")
+BLOCK = ("description", "tile_bits", "max_merged_attachments", "prefer_fp16", "sources")
 
 
 @dataclass(frozen=True)
 class Profile:
     """What a device allows. `limits`, `features` and `formats` hold only what is stated; ask `limit`, `feature` and
     `format_has` for the value in force. `tile_bits`: colour bits a pixel that fit in tile memory; `max_merged_attachments`:
-    attachments over merged subpasses; None means no such rule is known. `outside_read`: how to read an attachment written
-    outside the render pass. `compute`: compute substages may be used."""
+    attachments over merged subpasses; None means no such rule is known."""
 
     name: str
     description: str = ""
@@ -56,11 +53,7 @@ class Profile:
     formats: Mapping[str, frozenset[str]] = field(default_factory=dict)
     tile_bits: int | None = None
     max_merged_attachments: int | None = None
-    outside_read: str = "texel_fetch"
-    compute: bool = False
     prefer_fp16: bool = False
-    device_local_lazily_allocated: bool = False
-    quirks: tuple[str, ...] = ()
     sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     api_version: str = "1.0.0"
     date: str = "1970-01-01"
@@ -72,7 +65,6 @@ class Profile:
         frozen = dict(limits=limits, features=dict(self.features), formats=formats, sources=sources)
         for key, value in frozen.items():
             object.__setattr__(self, key, MappingProxyType({k: value[k] for k in sorted(value)}))
-        object.__setattr__(self, "quirks", tuple(sorted(set(self.quirks))))
 
     def __hash__(self):
         return hash((self.name, self.digest))
@@ -185,16 +177,12 @@ def canonical(profile: Profile) -> dict:
         "formats": {k: sorted(profile.format_features(k)) for k in FORMATS},
         "tile_bits": profile.tile_bits,
         "max_merged_attachments": profile.max_merged_attachments,
-        "outside_read": profile.outside_read,
-        "compute": profile.compute,
         "prefer_fp16": profile.prefer_fp16,
-        "device_local_lazily_allocated": profile.device_local_lazily_allocated,
-        "quirks": list(profile.quirks),
     }
 
 
 def merge(profiles: Iterable[Profile], name: str) -> Profile:
-    """The intersection: what is allowed on every one of the profiles, in any order. Quirks add up; `sources` says whose
+    """The intersection: what is allowed on every one of the profiles, in any order. `sources` says whose
     value binds."""
     members = sorted(profiles, key=lambda p: (p.name, p.digest))
     if not members:
@@ -218,18 +206,14 @@ def merge(profiles: Iterable[Profile], name: str) -> Profile:
         tile_bits=min((p.tile_bits for p in members if p.tile_bits is not None), default=None),
         max_merged_attachments=min(
             (p.max_merged_attachments for p in members if p.max_merged_attachments is not None), default=None),
-        outside_read=min((p.outside_read for p in members), key=OUTSIDE_READ.index),
-        compute=all(p.compute for p in members),
         prefer_fp16=all(p.prefer_fp16 for p in members),
-        device_local_lazily_allocated=all(p.device_local_lazily_allocated for p in members),
-        quirks=tuple(q for p in members for q in p.quirks),
         sources=sources | {"*": {"source": f"merged from {names}", "status": worst}},
         api_version=min((p.api_version for p in members), key=lambda v: tuple(map(int, v.split(".")))),
         date=max(p.date for p in members))
 
 
 def misfit(needs: Mapping, profile: Profile) -> list[str]:
-    """Why `needs` do not fit, one line each; empty if they do. `needs` maps a limit to a value, a feature or "compute" to
+    """Why `needs` do not fit, one line each; empty if they do. `needs` maps a limit to a value, a feature to
     True, a format to the format features it must have: {"maxColorAttachments": 6, "R32_SFLOAT": ["blend"]}."""
     out, name = [], profile.name
     for key in sorted(needs, key=str):
@@ -242,9 +226,8 @@ def misfit(needs: Mapping, profile: Profile) -> list[str]:
                 out += [f"{key}: needed, {name} has none"] if need and not have else []
             elif not enough(kind, need, have):
                 out.append(f"{key}: needs {text_of(need)}, {name} has {text_of(have)}")
-        elif key in FEATURES or key == "compute":
-            has = profile.compute if key == "compute" else profile.feature(key)
-            if typed(need, bool, f"needs: {key}") and not has:
+        elif key in FEATURES:
+            if typed(need, bool, f"needs: {key}") and not profile.feature(key):
                 out.append(f"{key}: needed, {name} has none")
         elif plain in FORMATS:
             need = {need} if isinstance(need, str) else set(need) if isinstance(need, Iterable) else {None}

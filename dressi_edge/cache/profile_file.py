@@ -10,7 +10,7 @@ import re
 from .errors import ProfileError
 from .files import read_regular
 from .limits import FEATURES, FORMAT_FEATURES, FORMATS, FROM_VK, LIMITS, an_object, limit_value, nearest, number, show, typed
-from .profile import BLOCK, OUTSIDE_READ, STATUS, Profile, from_device
+from .profile import BLOCK, STATUS, Profile, from_device
 
 SCHEMA = "https://schema.khronos.org/vulkan/profiles-0.8-latest.json#"
 MAX_FILE_BYTES = 1 << 20
@@ -29,6 +29,7 @@ def read(path, where: str) -> bytes:
 
 
 def decode(data: bytes, where: str) -> dict:
+    """The object in a JSON text, each key once. Raises ProfileError."""
     import json
 
     def unique(pairs):
@@ -104,16 +105,10 @@ def _own(block, where: str) -> dict:
         at = f"{where}: {k}"
         if k in ("tile_bits", "max_merged_attachments"):
             out[k] = None if v is None else number(v, at, 1)
-        elif k in ("compute", "prefer_fp16", "device_local_lazily_allocated"):
+        elif k == "prefer_fp16":
             out[k] = typed(v, bool, at)
-        elif k == "outside_read":
-            if typed(v, str, at) not in OUTSIDE_READ:
-                raise ProfileError(f"{at}: must be {' or '.join(OUTSIDE_READ)}, found {show(v)}")
-            out[k] = v
         elif k == "description":
             out[k] = typed(v, str, at)
-        elif k == "quirks":
-            out[k] = tuple(typed(q, str, at) for q in typed(v, list, at))
         else:
             out[k] = an_object(v, at, ("*", *LIMITS, *FEATURES, *FORMATS, *BLOCK[:-1]))
             for name, entry in out[k].items():

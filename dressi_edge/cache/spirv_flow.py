@@ -127,6 +127,7 @@ class Flow:
         self._edges()
 
     def fail(self, number: int, what: str) -> NoReturn:
+        """Say what is wrong with a block; does not return."""
         self.wrong(self.blocks[number].at, f"the control flow of the block here is not structured: {what}")
 
     def _constructs(self) -> None:

@@ -29,6 +29,7 @@ def stage_bytes(d: Mapping, stage: Mapping) -> int:
 
 
 def pipelines(plan: Mapping) -> set[int]:
+    """The numbers of the pipelines that a plan uses."""
     return {draw["pipeline"] for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws}
 
 

@@ -65,6 +65,7 @@ class _Count:
                                 self.filtered.add(ref // 2)
 
     def lines(self) -> Iterator[str]:
+        """All that breaks the profile, in the order of the description."""
         yield from self.images()
         for k, p in enumerate(self.d["passes"]):
             yield from self.render_pass(self.pass_at.get(k, "unused"), k, p)
@@ -78,6 +79,7 @@ class _Count:
             yield from self.limit("what its shaders do", self.d["needs"]["limits"].get(name, 0), words, name)
 
     def limit(self, where: str, found: int, what: str, limit: str) -> Iterator[str]:
+        """A line if more is found than the limit allows."""
         allowed = self.profile.limit(limit)
         if found > allowed:
             yield f"{where} needs {found} {what}; profile {self.profile.name} allows {allowed} ({limit})"
@@ -85,6 +87,7 @@ class _Count:
     # ---- what there is
 
     def images(self) -> Iterator[str]:
+        """Of images, samplers and memory."""
         profile, images = self.profile, self.d["images"]
         for k, image in enumerate(images):
             where = f"images[{k}]"
@@ -108,11 +111,13 @@ class _Count:
         yield from self.limit("images", min(len(kinds), MEMORY_TYPES) + 1, "memory allocations", "maxMemoryAllocationCount")
 
     def features(self, name: str) -> str:
+        """What the profile says of a format, in words."""
         return " ".join(sorted(self.profile.format_features(name))) or "nothing"
 
     # ---- passes and stages
 
     def render_pass(self, where: str, number: int, p: Mapping) -> Iterator[str]:
+        """Of a render pass and its subpasses."""
         profile, merged = self.profile, {}
         for k, s in enumerate(p["subpasses"]):
             at = f"{where}.subpasses[{k}] (pass {number})"
@@ -131,12 +136,14 @@ class _Count:
             yield from self.tile(at, p, merged)
 
     def tile(self, where: str, p: Mapping, attachments) -> Iterator[str]:
+        """A line if these attachments do not fit the tile."""
         most = self.profile.tile_bits
         bits = sum(8 * v.TEXEL_BYTES[p["attachments"][a]["format"]] for a in attachments)
         if most is not None and bits > most:
             yield f"{where} needs {bits} bits of tile colour a pixel; profile {self.profile.name} allows {most} (tile_bits)"
 
     def stage(self, where: str, stage: Mapping) -> Iterator[str]:
+        """Of a stage's framebuffer and viewports."""
         yield from self.limit(where, stage["width"], "pixels of framebuffer width", "maxFramebufferWidth")
         yield from self.limit(where, stage["height"], "pixels of framebuffer height", "maxFramebufferHeight")
         size, (low, high) = self.profile.limit("maxViewportDimensions"), self.profile.limit("viewportBoundsRange")
@@ -156,6 +163,7 @@ class _Count:
     # ---- pipelines
 
     def pipeline(self, where: str, p: Mapping) -> Iterator[str]:
+        """Of a pipeline's descriptors, and of what its shaders pass on."""
         colors = len(self.d["passes"][p["pass"]]["subpasses"][p["subpass"]]["colors"])
         yield from self.limit(where, int(bool(p["bindings"])), "descriptor sets", "maxBoundDescriptorSets")
         whole = dict.fromkeys(WORDS, 0)

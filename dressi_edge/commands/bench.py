@@ -8,6 +8,7 @@ from .files import print_json
 
 
 def bench(args) -> None:
+    """The command."""
     from .. import runtime
     with runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile, pin=args.pin) as session:
         d = session.bundle.description

@@ -7,6 +7,7 @@ from .files import print_json
 
 
 def inspect(args) -> None:
+    """The command: what a bundle is made of."""
     from ..cache import bundle
     from ..cache.summary import dot, summary, text
     variants = bundle.read(args.bundle, args.pin).variants
@@ -18,6 +19,7 @@ def inspect(args) -> None:
 
 
 def verify(args) -> None:
+    """The command: whether a bundle is sound, and fits a profile."""
     from ..cache import bundle
     found = bundle.read(args.bundle, args.pin)
     d, fits = found.description, ""
@@ -36,6 +38,7 @@ def verify(args) -> None:
 
 
 def devices(args) -> None:
+    """The command: the Vulkan devices there are."""
     from ..runtime.device import Device
     rows = Device.list()
     if args.json:

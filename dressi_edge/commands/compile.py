@@ -11,6 +11,7 @@ from .files import check_folder, print_json
 
 
 def compile_job(args) -> None:
+    """The command: a bundle of a job."""
     check_folder(args.output)
     profiles = [Profile.load(name) for name in args.profile]
     from ..compiler.backend.needs import shadowed

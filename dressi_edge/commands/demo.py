@@ -20,6 +20,7 @@ PROFILE = "vulkan_min"  # what every Vulkan device allows
 
 
 def demo(args) -> int:
+    """The command: pictures of a pear become its shape and texture."""
     began, folder = time.perf_counter(), args.output
     try:
         os.makedirs(folder, exist_ok=True)

@@ -29,5 +29,6 @@ def check_folder(path: str) -> None:
 
 
 def print_json(value) -> None:
+    """A value on stdout, for programs."""
     json.dump(value, sys.stdout, indent=1, sort_keys=True, allow_nan=False)
     sys.stdout.write("\n")

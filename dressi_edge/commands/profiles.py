@@ -12,6 +12,7 @@ from .files import check_folder, print_json, write_file
 
 
 def list_all(args) -> None:
+    """The profiles that come with the product."""
     profiles = [Profile.load(name) for name in profile_names()]
     if args.json:
         print_json({p.name: {"description": p.description, "date": p.date, "digest": p.digest} for p in profiles})
@@ -22,10 +23,12 @@ def list_all(args) -> None:
 
 
 def show(args) -> None:
+    """A profile's file."""
     sys.stdout.write(to_json(Profile.load(args.profile)))
 
 
 def check_all(args) -> None:
+    """What is wrong with profiles."""
     lines = [(name, line) for name in args.profile or profile_names() for line in check(Profile.load(name))]
     faults = [line for _, line in lines if not line.startswith("note: ")]
     for _, line in lines:
@@ -36,10 +39,12 @@ def check_all(args) -> None:
 
 
 def merge_all(args) -> None:
+    """What all of some profiles allow."""
     _give(merge([Profile.load(name) for name in args.profile], _named(args.name)), args.output)
 
 
 def capture(args) -> None:
+    """The profile of the device at hand."""
     import datetime
 
     from ..runtime import vk

@@ -22,6 +22,7 @@ class Progress:
         self.bar = sys.stderr.isatty()
 
     def show(self, done: int, loss: float | None, ms: float) -> None:
+        """Draw the bar, or write a line if one is due."""
         now, end = time.monotonic(), done == self.steps
         text = f"{self.name} {done}/{self.steps}" + (f" loss {loss:.5g}" if loss is not None else "") + f" {ms:.1f} ms a step"
         if self.bar:
@@ -121,6 +122,7 @@ def _check_output(path: str) -> str:
 
 
 def run(args) -> int:
+    """The command; its exit code."""
     kind = args.output and _check_output(args.output)
     results = None
     if kind == "mesh":

@@ -83,6 +83,7 @@ class _Instance:
                                                      pfnUserCallback=self._callback)
 
     def close(self):
+        """Give back the messenger and the instance."""
         handle, self.handle = self.handle, None
         if handle:
             if self.messenger:
@@ -106,7 +107,7 @@ class Device:
     statistics                    whether it keeps what its compiler says of pipelines: `commands/statistics.py`
     timestamp_period, timestamp_bits                   ns a tick; valid bits of a timestamp, 0 if the queue has none
     memory_types, heaps           [(flags, heap index)]; [(bytes, flags)]
-    instance, physical, device, queue, queue_family    handles and the family's index; has_compute: it can dispatch
+    instance, physical, device, queue, queue_family    handles and the family's index
     messages                      what the validation layer said; still there after `close`
     lock, process                 around every use of the queue, which sessions share; the process that opened it
     """
@@ -116,7 +117,7 @@ class Device:
         self._instance, self.instance, self.physical, self.messages = instance, instance.handle, physical, instance.messages
         self.device = self.queue = None
         self.lock, self.process = allocate_lock(), os.getpid()
-        self.queue_family, self.has_compute, self.timestamp_bits, self.enabled, self.statistics = -1, False, 0, (), False
+        self.queue_family, self.timestamp_bits, self.enabled, self.statistics = -1, 0, (), False
         properties = vk.GetPhysicalDeviceProperties(physical)
         self.name = properties.deviceName.decode(errors="replace")
         self.kind = KINDS.get(properties.deviceType, "other")
@@ -134,9 +135,8 @@ class Device:
         self.heaps = [(h.size, h.flags) for h in memory.memoryHeaps[:memory.memoryHeapCount]]
         self._read_driver(version)
         for index, family in enumerate(vk.GetPhysicalDeviceQueueFamilyProperties(physical)):
-            compute = bool(family.queueFlags & vk.VK_QUEUE_COMPUTE_BIT)
-            if family.queueFlags & vk.VK_QUEUE_GRAPHICS_BIT and (self.queue_family < 0 or compute and not self.has_compute):
-                self.queue_family, self.has_compute, self.timestamp_bits = index, compute, family.timestampValidBits
+            if family.queueFlags & vk.VK_QUEUE_GRAPHICS_BIT and self.queue_family < 0:
+                self.queue_family, self.timestamp_bits = index, family.timestampValidBits
 
     def _read_driver(self, version):
         self.driver_name = self.driver_info = self.device_uuid = self.driver_uuid = ""

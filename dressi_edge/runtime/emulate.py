@@ -46,7 +46,6 @@ class EmulatedDevice:
         self.name = f"{self.real.name} as {self.profile.name}"
         self.limits = {**self.real.limits, **{k: _as_driver(self.profile.limit(k)) for k in LIMITS}}
         self.features = {k: k in FEATURES and self.profile.feature(k) for k in self.real.features}
-        self.has_compute = self.real.has_compute and self.profile.compute
 
     def __getattr__(self, name: str):
         return getattr(self.real, name)

@@ -104,6 +104,7 @@ class Images:
                                   f"{megabytes(self.device.heaps[heap][0])} (heap {heap}); compile it with fewer or smaller views")
 
     def close(self) -> None:
+        """Give everything back."""
         for views in self.views:
             for view in views:
                 vk.DestroyImageView(self.device.device, view)
@@ -121,6 +122,7 @@ def image_bytes(record: dict) -> int:
 
 
 def megabytes(size: int) -> str:
+    """A size as people read it."""
     return f"{size / 1e6:.1f} MB"
 
 
@@ -139,6 +141,7 @@ class Staging:
         self.device, self.size, self.buffer, self.memory, self.view = device, 0, 0, 0, None
 
     def reserve(self, size: int) -> None:
+        """Have room for so many bytes; what was in the buffer is lost."""
         if size <= self.size:
             return
         self.close()
@@ -161,6 +164,7 @@ class Staging:
             self.close()
 
     def close(self) -> None:
+        """Give everything back."""
         if self.buffer:
             vk.DestroyBuffer(self.device.device, self.buffer)
         if self.memory:

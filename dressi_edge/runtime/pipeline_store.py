@@ -54,6 +54,7 @@ class PipelineStore:
             self.state = f"off ({why})" if why else "stored"
 
     def close(self) -> None:
+        """Destroy the driver's cache; the file stays."""
         if self.handle:
             vk.DestroyPipelineCache(self._device.device, self.handle)
         self.handle = 0

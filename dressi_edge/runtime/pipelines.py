@@ -85,6 +85,7 @@ class Pipelines:
         return vk.CreateGraphicsPipelines(self.device.device, cache, [info])[0]
 
     def close(self) -> None:
+        """Destroy pipelines, layouts, passes and samplers."""
         d = self.device.device
         for pipeline in self.pipelines:
             vk.DestroyPipeline(d, pipeline)

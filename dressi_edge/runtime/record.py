@@ -57,6 +57,7 @@ class _Counts:
         return offset
 
     def close(self) -> None:
+        """Destroy what the commands use, which must have run."""
         vk.DestroyBuffer(self.device.device, self.buffer)
         if self.memory:
             vk.FreeMemory(self.device.device, self.memory)
@@ -176,6 +177,7 @@ class Recording:
         return descriptors
 
     def close(self) -> None:
+        """Destroy what the commands use, which must have run."""
         device = self.device.device
         if self.commands:
             vk.FreeCommandBuffers(device, self.pool, [self.commands])

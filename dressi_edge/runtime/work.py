@@ -91,6 +91,7 @@ class Work:
             raise
 
     def close(self) -> None:
+        """Destroy pool and fence; nothing may be running."""
         if self.fence:
             vk.DestroyFence(self.device.device, self.fence)
         if self.pool:

@@ -21,9 +21,7 @@ from dressi_edge.cache.profile_file import to_json
 from . import catalog, fetch
 from .session import ROOT
 
-OWN = {"compute": {"source": "dressi_edge: our choice, not a property of the device", "status": "assumed"},
-       "outside_read": {"source": "dressi_edge: our choice, not a property of the device", "status": "assumed"},
-       "prefer_fp16": {"source": "dressi_edge: our choice, not a property of the device", "status": "assumed"},
+OWN = {"prefer_fp16": {"source": "dressi_edge: our choice, not a property of the device", "status": "assumed"},
        "tile_bits": {"source": "not reported: whether this driver merges subpasses is not known", "status": "assumed"}}
 
 

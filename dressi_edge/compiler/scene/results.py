@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import BundleError, InputError
+from ...cache.errors import BundleError
 from ..io.cameras import inverse_rigid, rotation_matrix
 from ..io.images import linear_to_srgb
 from ..io.mesh import Mesh
 from ..io.views import Views
-from ..io.writers import MESH_SUFFIXES, contact_sheet, loss_curve, save_json, save_mesh, save_parts
+from ..io.writers import contact_sheet, loss_curve, save_json, save_mesh, save_parts
 from .pieces import frame_meta, origin_in, pack, parts_of, unpack
 
 SHOWN = 8  # views in a contact sheet
@@ -144,17 +144,6 @@ def save_result(session, path: str | Path) -> None:
         save_parts(path, parts_of(session))
     else:
         save_mesh(path, mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
-
-
-def check_output(session, out: str | Path) -> Path:
-    """The path, if a run of this session can write it; to be asked before the run. Raises InputError."""
-    out = Path(out)
-    if out.suffix.lower() not in MESH_SUFFIXES:
-        raise InputError(f"output {out}: extension {out.suffix or 'none'} is unknown; known are {' '.join(MESH_SUFFIXES)}")
-    if not out.parent.is_dir():
-        raise InputError(f"output {out}: directory {out.parent} does not exist; create it first")
-    check(session)
-    return out
 
 
 def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, float]]], before: np.ndarray | None,
