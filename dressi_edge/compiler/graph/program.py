@@ -1,6 +1,6 @@
 """A problem as plain data: what lives on the device, what comes in, what each plan updates and gives out.
 
-In: nodes built by `render/` or by the user. Out: a `Program`, which `backend.assembler` turns into a bundle. What no bundle can hold is
+In: nodes built by `render/` or by the user. Out: a `Program`, which `compiler.build` turns into a bundle. What no bundle can hold is
 refused here, when it is said.
 """
 from __future__ import annotations
