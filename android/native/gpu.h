@@ -41,7 +41,7 @@ struct dressi_device {
     VkDevice device;
     VkQueue queue;
     uint32_t family, number, instance_version;
-    bool has_compute, has_driver, has_ids;
+    bool has_driver, has_ids;
     int process;          /* that opened it */
     pthread_mutex_t lock; /* around every use of the queue, which sessions share */
     VkPhysicalDeviceProperties properties;
