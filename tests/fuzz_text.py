@@ -56,6 +56,41 @@ optimize."light0.power" = {optimizer = "sgd", rate = {values = [1.0, 0.5], at = 
 kind = "color"
 weight = {start = 1.0, end = 0.1}
 """
+PARTS = """
+[[part]]
+name = "ball"
+sphere = {vertices = 42, radius = 0.4}
+translation = [0.1, 0.0, 0.0]
+[part.material]
+kind = "blinn_phong"
+color = [0.5, 0.4, 0.3]
+gloss = 9.0
+[[part]]
+name = "small"
+sphere = {vertices = 12, radius = 0.2}
+rotation = [0.1, 0.2, 0.3]
+scale = 0.9
+material.texture_size = [8, 4]
+[views]
+transforms = "photos"
+order = "shuffle"
+[[light]]
+kind = "directional"
+vector = [0, -1, 0]
+power = [1, 2, 3]
+[[phase]]
+name = "p"
+steps = 2
+optimize.ball.rotation = {rate = 0.1}
+optimize.small.texture = {rate = 0.1}
+optimize."camera.translation" = {rate = 1e-3}
+[[phase.loss]]
+kind = "color"
+norm = "huber"
+[[phase.loss]]
+kind = "edge_length"
+part = "ball"
+"""
 GLTF = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
         "nodes": [{"children": [1, 2], "scale": [2, 2, 2], "translation": [0, 0, 1]},
                   {"camera": 0, "name": "0", "translation": [0, 0, 1], "rotation": [0, 0, 0, 1]},
@@ -114,7 +149,7 @@ class Fuzz:
 
     def __init__(self, seed: int, folder: Path):
         self.r, self.folder = random.Random(seed), folder
-        self.jobs = [TINY, TINY.split("[render]")[0] + MORE]
+        self.jobs = [TINY, TINY.split("[render]")[0] + MORE, PARTS]
         for text in self.jobs:  # undamaged they are right
             job.load_job(write_job(folder, text))
         self.transforms = json.loads((folder / "photos" / "transforms.json").read_text()) | {
@@ -128,7 +163,8 @@ class Fuzz:
 
     def make(self, kind: str) -> bytes:
         r = self.r
-        text = mutate_toml(r.choice(self.jobs), r) if kind == "job" else mutate_document(
+        # Jobs of parts are always built, which takes as long as a hundred texts read.
+        text = mutate_toml(self.jobs[2] if r.randrange(BUILT) == 0 else r.choice(self.jobs[:2]), r) if kind == "job" else mutate_document(
             {"transforms": self.transforms, "gltf": GLTF, "profile": r.choice(self.texts)}[kind], r)
         data = text.encode("utf-8", "surrogatepass")
         return mutate_bytes(data, r) if r.random() < 0.2 else data
@@ -150,7 +186,7 @@ class Fuzz:
         kind = self.r.choice(self.KINDS)
         data = self.make(kind)
         build, start, accepted = job.Problem, time.perf_counter(), False
-        job.Problem = build if self.r.randrange(BUILT) == 0 else _Unbuilt  # a built one takes as long as a hundred read
+        job.Problem = build if self.r.randrange(BUILT) == 0 else _Unbuilt
         try:
             with warnings.catch_warnings(record=True) as notes:
                 warnings.simplefilter("always")

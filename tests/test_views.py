@@ -378,6 +378,12 @@ def test_images_of_a_directory_come_by_name(folder):
         Views(images, orbit(2, [0.0], 3.0, 40.0, (6, 8)), names)
 
 
+def test_two_views_of_one_name_are_refused(folder):
+    images, _ = load_images(folder)
+    with pytest.raises(InputError, match="two views are called 'a'; give each a name of its own"):
+        Views(images, orbit(2, [0.0], 3.0, 40.0, (8, 6)), ("a", "a"))
+
+
 def test_downsampling_keeps_light_coverage_and_geometry():
     image = np.zeros((4, 6, 4), np.float32)
     image[:, 0] = (1.0, 0.5, 0.0, 1.0)

@@ -19,7 +19,7 @@ def gltf_cameras(path: str | Path, width: int, height: int) -> tuple[tuple[Camer
     """
     path = Path(path)
     document = _gltf(path)
-    where, found, names = shown(path), [], []
+    where, found, names, odd = shown(path), [], [], []
     try:
         nodes = document.get("nodes", [])
         roots = sorted(set(range(len(nodes))) - {child for node in nodes for child in node.get("children", [])})
@@ -39,13 +39,15 @@ def gltf_cameras(path: str | Path, width: int, height: int) -> tuple[tuple[Camer
             if "camera" in node:
                 names.append(str(node.get("name", "camera")))
                 camera = _at(document["cameras"], node["camera"])
-                found.append(_gltf_camera(camera, world, width, height, f"{where} node {index} ({shown(names[-1], 40)})"))
+                found.append(_gltf_camera(camera, world, width, height, f"{where} node {index} ({shown(names[-1], 40)})", odd))
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{where} is not well-formed glTF ({type(error).__name__}: {shown(error)}); export it again") from None
     if not found:
         raise InputError(f"{where} has no camera in its scene; export it with cameras")
+    if odd:
+        note(odd[0] + (f"; so it is with {len(odd) - 1} more" if len(odd) > 1 else ""))
     return tuple(found), tuple(names)
 
 
@@ -83,7 +85,8 @@ def _node_matrix(node: dict) -> np.ndarray:
     return matrix
 
 
-def _gltf_camera(camera: dict, world: np.ndarray, width: int, height: int, where: str) -> Camera:
+def _gltf_camera(camera: dict, world: np.ndarray, width: int, height: int, where: str, odd: list[str]) -> Camera:
+    """The camera; what is odd about it goes into the list."""
     kind = camera.get("type")
     if kind not in KINDS:
         raise InputError(f"{where} is a camera of type {kind!r:.40}; {' and '.join(KINDS)} cameras are supported")
@@ -102,5 +105,6 @@ def _gltf_camera(camera: dict, world: np.ndarray, width: int, height: int, where
         length, far = focal(math.degrees(lens["yfov"]), height), lens.get("zfar", 1000.0 * near)
         aspect, taken = lens.get("aspectRatio", width / height), "yfov"
     if abs(aspect * height - width) > 1.0:
-        note(f"{where} has the aspect ratio {aspect:g}, but the pictures are {width}x{height}; {taken} is taken, and pixels as square")
+        odd.append(f"{where} has the aspect ratio {aspect:g}, but the pictures are {width}x{height}; {taken} is taken, and pixels as "
+                   "square")
     return Camera(inverse_rigid(pose), length, length, width / 2.0, height / 2.0, width, height, near, far, kind)

@@ -15,6 +15,7 @@ from ...cache.errors import InputError
 from .cameras import Camera, inverse_rigid
 from .gltf_cameras import gltf_cameras
 from .images import downsampled, load_images
+from .text import shown
 from .transforms import intrinsics, read_transforms, stated_size
 
 
@@ -36,6 +37,9 @@ class Views:
         if len(images) != len(self.cameras) or len(images) != len(self.names):
             raise InputError(f"views have {len(images)} images, {len(self.cameras)} cameras and {len(self.names)} names; "
                              "give one camera and one name for each image")
+        if len(set(self.names)) < len(self.names):
+            twice = next(name for k, name in enumerate(self.names) if name in self.names[:k])
+            raise InputError(f"two views are called {shown(twice)!r}; give each a name of its own, for results are told by it")
         bad = ~((images >= 0.0) & (images <= 1.0)).reshape(len(images), -1).all(axis=1)
         if bad.any():
             raise InputError(f"view {self.names[int(np.argmax(bad))]} has values outside [0, 1] or NaN; scale or clip it")
