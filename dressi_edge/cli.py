@@ -107,6 +107,8 @@ def parser() -> argparse.ArgumentParser:
     form = sub.add_mutually_exclusive_group()
     json_switch(form)
     form.add_argument("--dot", action="store_true", help="print the graph of stages for Graphviz")
+    sub.add_argument("--statistics", metavar="DEVICE", help="what that device's compiler makes of each shader (a number or a part of its "
+                     "name): registers, spills, waves, instructions, cycles, as far as its driver tells")
 
     sub = command("verify", "check a bundle without a device", target="bundle:verify")
     sub.add_argument("bundle")

@@ -37,14 +37,15 @@ if TYPE_CHECKING:  # files, JSON and suggestions are imported where they are use
     from pathlib import Path
 
 STATUS = ("measured", "specified", "assumed")  # best first
-BLOCK = ("description", "tile_bits", "max_merged_attachments", "prefer_fp16", "sources")
+BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "prefer_fp16", "sources")
 
 
 @dataclass(frozen=True)
 class Profile:
     """What a device allows. `limits`, `features` and `formats` hold only what is stated; ask `limit`, `feature` and
     `format_has` for the value in force. `tile_bits`: colour bits a pixel that fit in tile memory; `max_merged_attachments`:
-    attachments over merged subpasses; None means no such rule is known."""
+    attachments over merged subpasses; `max_live`: 32-bit numbers that a shader may hold at once before its compiler spills them;
+    None means no such rule is known."""
 
     name: str
     description: str = ""
@@ -53,6 +54,7 @@ class Profile:
     formats: Mapping[str, frozenset[str]] = field(default_factory=dict)
     tile_bits: int | None = None
     max_merged_attachments: int | None = None
+    max_live: int | None = None
     prefer_fp16: bool = False
     sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     api_version: str = "1.0.0"
@@ -177,6 +179,7 @@ def canonical(profile: Profile) -> dict:
         "formats": {k: sorted(profile.format_features(k)) for k in FORMATS},
         "tile_bits": profile.tile_bits,
         "max_merged_attachments": profile.max_merged_attachments,
+        **({} if profile.max_live is None else {"max_live": profile.max_live}),
         "prefer_fp16": profile.prefer_fp16,
     }
 
@@ -206,6 +209,7 @@ def merge(profiles: Iterable[Profile], name: str) -> Profile:
         tile_bits=min((p.tile_bits for p in members if p.tile_bits is not None), default=None),
         max_merged_attachments=min(
             (p.max_merged_attachments for p in members if p.max_merged_attachments is not None), default=None),
+        max_live=min((p.max_live for p in members if p.max_live is not None), default=None),
         prefer_fp16=all(p.prefer_fp16 for p in members),
         sources=sources | {"*": {"source": f"merged from {names}", "status": worst}},
         api_version=min((p.api_version for p in members), key=lambda v: tuple(map(int, v.split(".")))),

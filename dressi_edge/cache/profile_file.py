@@ -103,7 +103,7 @@ def _own(block, where: str) -> dict:
     out = {}
     for k, v in block.items():
         at = f"{where}: {k}"
-        if k in ("tile_bits", "max_merged_attachments"):
+        if k in ("tile_bits", "max_merged_attachments", "max_live"):
             out[k] = None if v is None else number(v, at, 1)
         elif k == "prefer_fp16":
             out[k] = typed(v, bool, at)

@@ -11,11 +11,37 @@ def inspect(args) -> None:
     from ..cache import bundle
     from ..cache.summary import dot, summary, text
     variants = bundle.read(args.bundle, args.pin).variants
-    if args.json:
+    if args.statistics is not None:
+        _statistics(args, variants)
+    elif args.json:
         print_json({b.profile: summary(b.description) for b in variants})
     else:
         show = dot if args.dot else text
         sys.stdout.write("\n".join(show(b.description) for b in variants))
+
+
+def _statistics(args, variants) -> None:
+    """Of every variant, whether it fits the device or not."""
+    from ..cache.errors import DeviceError, InputError
+    from ..runtime.device import Device
+    from .statistics import NAMES, compiled
+    if args.dot:
+        raise InputError("--statistics is no graph; leave out --dot")
+    with Device.open(args.statistics, statistics=True) as device:
+        if not device.statistics:
+            raise DeviceError(f"{device.name} ({device.driver}) does not tell what it compiles: it has no "
+                              "VK_KHR_pipeline_executable_properties")
+        told = {b.profile: compiled(device, b) for b in variants}
+        if args.json:
+            print_json({profile: [one.record() for one in made] for profile, made in told.items()})
+            return
+        for profile, made in told.items():
+            rows = [("", *NAMES, "ms"), *((str(one.place or "-"), *("-" if (x := one.told(name)) is None else f"{x:g}" for name in NAMES),
+                                           f"{one.ms:.0f}") for one in made)]
+            widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+            print(f"profile {profile} on {device.name}, {device.driver}")
+            for first, *rest in rows:
+                print(first.ljust(widths[0]), *(x.rjust(width) for x, width in zip(rest, widths[1:])))
 
 
 def verify(args) -> None:

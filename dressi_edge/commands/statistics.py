@@ -9,7 +9,6 @@ import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ..cache import vulkan as v
 from ..cache.errors import DeviceError
 from ..runtime import vk
 from ..runtime.pipelines import Pipelines
@@ -54,6 +53,12 @@ class Compiled:
         found = [sum(numbers.values()) for _, _, told in self.executables
                  if (numbers := {name: told[name] for name in NAMES[what] if name in told})]
         return (min if what in LEAST else max)(found) if found else None
+
+
+    def record(self) -> dict:
+        """All of it for JSON."""
+        return {"place": self.place and self.place._asdict(), "ms": self.ms, **{name: self.told(name) for name in NAMES},
+                "executables": [{"name": name, "stages": stages, "told": told} for name, stages, told in self.executables]}
 
 
 def places(d: dict) -> dict[int, Place]:
@@ -107,6 +112,3 @@ def _executables(device, pipeline: int) -> tuple:
 def _number(s) -> int | float:
     return (s.value.b32, s.value.i64, s.value.u64, s.value.f64)[s.format]
 
-
-def fragment(stages: int) -> bool:
-    return bool(stages & v.STAGE_FRAGMENT)

@@ -12,6 +12,7 @@ from ...cache.errors import PackError
 from ...cache.profile import Profile
 from ..graph.ir import Node
 from ..graph.optable import FILTERED, VERTEX
+from .pressure import peak
 from .substage import Substage, edges, excess, excess_of, substage
 
 SPLIT_COST = 50  # work without loops that each part of a split substage may do again
@@ -22,7 +23,7 @@ def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Subs
     """One substage, or several that each keep the limits: outputs in order, each with what it needs; later parts read the outputs of
     earlier ones. What several would compute and costs more than a pass is stored before them."""
     whole = substage(nodes, outputs)
-    if not excess(whole, profile):
+    if not excess(whole, profile) and not crowded(nodes, outputs, profile):
         return [whole]
     before: list[Node] = []
     while True:
@@ -36,6 +37,11 @@ def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Subs
         before += sorted(again - inner, key=nodes.index)
 
 
+def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile) -> bool:
+    """Whether a substage holds more numbers at once than the profile's compiler has registers for. No limit: it only costs."""
+    return profile.max_live is not None and nodes[0].op.stage != "raster" and peak(nodes, outputs).count > profile.max_live
+
+
 def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:
     """Substages that give these in order. A single one that is too wide is cut inside at the widest node that fits."""
     result: list[Substage] = []
@@ -44,6 +50,9 @@ def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list
         taken: list[Node] = []
         while pending and cones.fit([*taken, pending[0]]):
             taken.append(pending.pop(0))
+        if not taken and cones.keeps([pending[0]]):  # crowded, and no output less to give
+            taken = cones.relief(pending[0])
+            pending = [n for n in pending if n not in taken]
         if taken:
             result.append(substage(cones.nodes(taken), taken))
             cones.store(taken)
@@ -111,11 +120,26 @@ class _Cones:
         for user in self.users[n]:
             heapq.heappush(self.stale, self.at[user])
 
-    def fit(self, outputs: Sequence[Node]) -> bool:
-        """Whether a substage may give these."""
-        self._refresh(outputs[-1])
+    def keeps(self, outputs: Sequence[Node]) -> bool:
+        """Whether a substage that gives these keeps the limits."""
+        self._refresh(max(outputs, key=self.at.__getitem__))
         sets = [self.reads[n] for n in outputs]
         return None not in sets and self._join(sets, outputs) is not None
+
+    def fit(self, outputs: Sequence[Node]) -> bool:
+        """Whether a substage may give these."""
+        return self.keeps(outputs) and not crowded(self.nodes(outputs), outputs, self.profile)
+
+    def relief(self, output: Node) -> list[Node]:
+        """What to store before an output that is crowded alone: values that its shader would hold where it holds most, wide ones first, as
+        many as one substage may give, until few enough are left. The output itself where there are none: to compute all of it twice
+        costs more than what its compiler spills."""
+        most = peak(self.nodes([output]), [output])
+        taken: list[Node] = []
+        for n in sorted(most.across, key=lambda n: (-n.channels, -self.at[n])):
+            if n is not output and sum(x.channels for x in taken) < most.count - self.profile.max_live and self.fit([*taken, n]):
+                taken.append(n)
+        return taken or [output]
 
     def nodes(self, outputs: Sequence[Node]) -> list[Node]:
         """What a substage that gives these computes, in order."""

@@ -1,0 +1,112 @@
+"""What a shader holds at once is counted as it is computed, and a profile's bound on it is kept where anything helps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dressi_edge.cache.layout import Layout
+from dressi_edge.cache.profile import Profile, canonical, merge
+from dressi_edge.compiler import Program, build
+from dressi_edge.compiler.graph.functions import apply, gather_sum
+from dressi_edge.compiler.graph.ir import UNIT
+from dressi_edge.compiler.passes.pressure import peak, statements
+from dressi_edge.compiler.passes.split import crowded
+
+pytest_plugins = ["gpu"]
+
+SIZE = Layout("image", "float", 6, 5)
+
+
+def roomy(most=None):
+    return replace(Profile.load("lavapipe"), name="bounded", max_live=most)
+
+
+def substages(program, profile):
+    return [s for stages in build(program, profile).stages.values() for stage in stages for s in stage.substages]
+
+
+def folded(count, outputs=1):
+    """Sums and products of the same `count` values: all are held when the sum is done and the product is not."""
+    program = Program()
+    x = program.input("x", SIZE)
+    values = [apply("sin", x * float(k + 1)) for k in range(count)]
+    made = {}
+    for k in range(outputs):
+        total, product = values[0], values[-1] * float(k + 2)
+        for value in values[1:]:
+            total = total + value
+        for value in reversed(values[:-1]):
+            product = apply("cos", product * value)
+        made[f"y{k}"] = (total * product, SIZE)
+    program.plan("p", {}, made)
+    return program
+
+
+def test_values_that_are_needed_later_are_counted_and_no_others():
+    program = Program()
+    x, one = program.input("x", SIZE), program.input("one", Layout("unit", "float"))
+    a, b = apply("sin", x), apply("cos", x)
+    c = a * b * one
+    program.plan("p", {}, {"c": (c, SIZE)})
+    s, = substages(program, roomy())
+    assert s.outputs == (c,) and one.extent == UNIT
+    assert peak(s.nodes, s.outputs).count == 3  # x, a and b where b is made; `one` is the same everywhere
+    assert peak([c.inputs[0]], [c.inputs[0]]).count == 3  # a and b, read, and what is made of them
+
+
+def test_vectors_count_by_channel_and_results_stay_to_the_end():
+    program = Program()
+    x = program.input("x", Layout("image", "vec4", 6, 5))
+    made = {f"y{k}": (apply("sin", x + float(k)), Layout("image", "vec4", 6, 5)) for k in range(3)}
+    program.plan("p", {}, made)
+    s, = substages(program, roomy())
+    assert peak(s.nodes, s.outputs).count == 16  # two results, the third and what it is made of; x is gone
+
+
+@pytest.mark.parametrize("count", [3, 10, 40])
+def test_what_is_held_over_a_stretch_is_counted_and_named(count):
+    s, = substages(folded(count), roomy())
+    found = peak(s.nodes, s.outputs)
+    assert count <= found.count <= count + 2
+    assert all(n in s.nodes for n in found.across)
+
+
+def test_loops_come_after_what_needs_none_and_what_they_need_is_held_across():
+    program, count = Program(), 12
+    kind = Layout("table", "float", count=count)
+    x, y = program.input("x", kind), program.input("y", kind)
+    ranges, order = np.stack([np.arange(count), np.arange(count) + 1], 1), np.arange(count)
+    before = apply("sin", y)
+    made = gather_sum(x, ranges, order) * before
+    program.plan("p", {}, {"z": (made, kind)})
+    s, = substages(program, roomy())
+    order = statements(s.nodes)
+    loops = [k for k, together in enumerate(order) if together[0].op.loop]
+    assert len(loops) == 1 and order.index([before]) < loops[0] < order.index([made])
+    assert peak(s.nodes, s.outputs).count >= 2
+
+
+@pytest.mark.parametrize("count, outputs, most", [(40, 1, 24), (40, 6, 44), (60, 3, 32)])
+def test_a_bound_makes_more_substages_and_the_same_numbers(gpu, count, outputs, most):
+    program, feed = folded(count, outputs), {"x": np.linspace(-1, 1, 30).reshape(5, 6, 1)}
+    free, bound = substages(program, roomy()), substages(program, roomy(most))
+    assert len(free) == 1 and crowded(free[0].nodes, free[0].outputs, roomy(most))
+    assert len(bound) > 1 and max(peak(s.nodes, s.outputs).count for s in bound) <= most
+    assert {n for s in bound for n in s.outputs} >= set(free[0].outputs)
+    expected, found = gpu.run(program, feed, roomy()), gpu.run(program, feed, roomy(most))
+    for name in expected:  # not to the bit: a driver's compiler simplifies within a shader
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-4, atol=1e-4)
+
+
+def test_a_bound_that_nothing_can_keep_stops_nothing():
+    """A function of two inputs holds three numbers, whatever is cut."""
+    made = substages(folded(6), roomy(1))
+    assert made == substages(folded(6), roomy()) and peak(made[0].nodes, made[0].outputs).count > 1
+
+
+def test_profiles_without_a_bound_are_what_they_were_and_the_least_binds_in_a_merge():
+    free, tight = roomy(), roomy(40)
+    assert "max_live" not in canonical(free) and canonical(tight)["max_live"] == 40 and free.digest != tight.digest
+    assert merge([free, tight, roomy(50)], "m").max_live == 40 and merge([free, free], "m").max_live is None
+    assert substages(folded(10), free) == substages(folded(10), roomy(1000))
