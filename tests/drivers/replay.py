@@ -7,7 +7,8 @@ JSON for the device and one for each bundle, as soon as it is done:
 
     {"device": .., "driver": .., "subpixel": .., "profile": ..}
     {"name": .., "error": null or text, "messages": of the validation layer, "deviation": the largest, in tolerances,
-     "where": of which result, "statistics": [[place, {registers: .., spills: ..}, ms], ..]}
+     "where": of which result, "bytes": [of the texels, that the device takes for them],
+     "statistics": [[place, pixels, {registers: .., spills: ..}, ms], ..]}
 """
 
 import json
@@ -34,11 +35,13 @@ def main():
     import numpy as np
 
     from dressi_edge import runtime
+    from dressi_edge.cache.summary import image_bytes
     from dressi_edge.commands.statistics import NAMES, compiled
     from dressi_edge.runtime.device import Device
 
     def replay(device, path):
-        told = {"name": path.stem, "error": None, "messages": [], "deviation": 0.0, "where": "", "statistics": [], "seconds": 0.0}
+        told = {"name": path.stem, "error": None, "messages": [], "deviation": 0.0, "where": "", "bytes": [0, 0], "statistics": [],
+                "seconds": 0.0}
         start = time.perf_counter()
         try:
             record = json.loads(path.with_suffix(".json").read_text())
@@ -53,9 +56,11 @@ def main():
                         if worst > told["deviation"]:
                             told["deviation"], told["where"] = worst, f"step {number}, {step['name']}"
                 taken = session.bundle
+                images = taken.description["images"]
+                told["bytes"] = [sum(image_bytes(image) * image["slots"] for image in images), session.report()["image_bytes"]]
             for one in compiled(device, taken) if device.statistics else ():
                 numbers = {name: x for name in NAMES if (x := one.told(name)) is not None}
-                told["statistics"].append([str(one.place), numbers, round(one.ms, 1)])
+                told["statistics"].append([str(one.place), one.place.pixels if one.place else 0, numbers, round(one.ms, 1)])
         except Exception as error:  # noqa: BLE001  (what went wrong is the result)
             told["error"] = f"{type(error).__name__}: {error}"
         told["messages"], told["seconds"] = sorted(set(device.messages)), round(time.perf_counter() - start, 2)

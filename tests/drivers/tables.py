@@ -1,0 +1,112 @@
+"""The tables of docs/drivers.md.
+
+    python -m tests.drivers.tables [GROUP or names of drivers]
+
+Every driver runs what `make test-drivers` runs, and the whole problems once more as they are compiled for `AGAINST`, the profile that
+one would take for a desktop of which one knows nothing. Results of drivers that are not named stay in benchmarks/results/drivers.json.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from dressi_edge.cache.profile import Profile
+
+from . import catalog, fetch, session, whole
+
+RESULTS = session.ROOT / "benchmarks" / "results" / "drivers.json"
+DOCS = session.ROOT / "docs" / "drivers.md"
+VECTORS = session.ROOT / "tests" / "vectors"
+AGAINST = "limit8"
+MARKS = "<!-- drivers -->\n", "<!-- /drivers -->\n"
+PROBLEMS = [name for name in whole.CASES if name != "behind"]
+
+
+def measure(name: str, bundles: dict[str, Path]) -> dict:
+    """What a driver did with the bundles of its own profile and of AGAINST."""
+    driver, packages = catalog.DRIVERS[name], fetch.ready(name)
+
+    def folder(profile: str) -> Path:
+        digest = Profile.load(profile).digest
+        if digest not in bundles:
+            bundles[digest] = Path(tempfile.mkdtemp(prefix="dressi_drivers_"))
+            for problem in whole.CASES:
+                whole.write(problem, Profile.load(profile), bundles[digest])
+        return bundles[digest]
+
+    own = session.run(name, packages, [VECTORS, folder(driver.profile)])
+    other = session.run(name, packages, [folder(AGAINST)])
+    return {"device": own.device.get("device", "?"), "driver": own.device.get("driver", "?"), "profile": driver.profile,
+            "bundles": len(own.results), "faults": list(own.faults), "executes": driver.executes,
+            "deviation": max((r["deviation"] for r in own.results), default=None) if driver.executes else None,
+            "own": {r["name"]: _sums(r) for r in own.results if r["name"] in PROBLEMS},
+            "against": {r["name"]: _sums(r) for r in other.results if r["name"] in PROBLEMS},
+            "date": datetime.date.today().isoformat()}
+
+
+def _sums(r: dict) -> dict:
+    """Of a problem's steps: the most registers, the fewest waves, all spills, instructions and cycles times pixels."""
+    rows = [(pixels, told) for place, pixels, told, _ in r["statistics"] if place.startswith("fit[")]
+
+    def over(what: str, pick):
+        found = [(pixels, told[what]) for pixels, told in rows if what in told]
+        return pick(found) if found else None
+
+    return {"pipelines": len(rows), "registers": over("registers", lambda x: max(n for _, n in x)), "bytes": r["bytes"],
+            "waves": over("waves", lambda x: min(n for _, n in x)), "spills": over("spills", lambda x: sum(n for _, n in x)),
+            **{what: over(what, lambda x: sum(pixels * n for pixels, n in x)) for what in ("instructions", "cycles")}}
+
+
+def text(results: dict[str, dict]) -> str:
+    """Three tables: what ran, shaders, memory."""
+    lines = ["| driver | device | profile | bundles | faults | largest deviation |", "|---|---|---|---:|---:|---:|"]
+    for name, r in results.items():
+        deviation = f"{r['deviation']:.2g} of its tolerance" if r["executes"] else "draws nothing"
+        cells = name, f"{r['device'].strip()}, {r['driver']}", r["profile"], str(r["bundles"]), str(len(r["faults"])), deviation
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", f"Shaders of one step, compiled for the device's own profile: spills (compiled for {AGAINST}), most registers, fewest",
+              f"waves, and what the compiler estimates for the step relative to that for {AGAINST}: cycles, or where it gives none",
+              "instructions, times pixels.", "",
+              "| driver | " + " | ".join(PROBLEMS) + " |", "|---|" + "---|" * len(PROBLEMS)]
+    for name, r in results.items():
+        if any(x["registers"] for x in r["own"].values()):
+            lines.append(f"| {name} | " + " | ".join(_cell(r["own"].get(p), r["against"].get(p)) for p in PROBLEMS) + " |")
+    lines += ["", "kB of the images, their texels alone and as the device takes them, small images as these problems are:", "",
+              "| driver | " + " | ".join(PROBLEMS) + " |", "|---|" + "---:|" * len(PROBLEMS)]
+    for name, r in results.items():
+        bytes = [r["own"].get(p, {}).get("bytes", (0, 0)) for p in PROBLEMS]
+        lines.append(f"| {name} | " + " | ".join(f"{raw / 1e3:.0f} -> {taken / 1e3:.0f}" for raw, taken in bytes) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(own: dict | None, other: dict | None) -> str:
+    if not own or not own["registers"]:
+        return "-"
+    what = "cycles" if own["cycles"] else "instructions"
+    ratio = f", {own[what] / other[what]:.2f}" if other and other.get(what) else ""
+    before = "" if not other or other["spills"] is None else f" ({other['spills']:g})"
+    return f"{own['spills'] or 0:g}{before}, {own['registers']:g}, {own['waves'] or 0:g}{ratio}"
+
+
+def main() -> int:
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    bundles: dict[str, Path] = {}
+    for name in catalog.chosen(" ".join(sys.argv[1:]) or "all"):
+        try:
+            results[name] = measure(name, bundles)
+            print(f"{name}: {results[name]['bundles']} bundles, {len(results[name]['faults'])} faults", flush=True)
+        except fetch.Missing as why:
+            print(f"{name}: left out: {why}", flush=True)
+    results = {name: results[name] for name in catalog.DRIVERS if name in results}
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    before, _, rest = DOCS.read_text().partition(MARKS[0])
+    DOCS.write_text(before + MARKS[0] + "\n" + text(results) + "\n" + MARKS[1] + rest.partition(MARKS[1])[2])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
