@@ -9,31 +9,12 @@ import numpy as np
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.check import image_layout, layout_of, rounded  # noqa: F401  (tests take them from here)
 from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, mean, total
 from dressi_edge.compiler.graph.ir import image, is_int, table, vector_type
 from dressi_edge.compiler.graph.program import Program
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def layout_of(node):
-    """The layout in which a user gives or gets a node: a table where the extent has padding, else an image."""
-    extent = node.extent
-    if extent.count != extent.width * extent.height:
-        return Layout("table", node.vtype, count=extent.count)
-    return Layout("image", node.vtype, extent.width, extent.height)
-
-
-def image_layout(array):
-    """The image layout of an array (h, w, c), integers as such."""
-    h, w, c = array.shape
-    return Layout("image", vector_type(c, array.dtype.kind in "iu"), w, h)
-
-
-def rounded(array):
-    """As the device holds it: floats of fp32, in float64."""
-    array = np.asarray(array)
-    return array if array.dtype.kind in "iu" else array.astype(np.float32).astype(np.float64)
 
 
 def python(code, *arguments, **environment):

@@ -14,9 +14,10 @@ from graphs import image_layout, layout_of, rounded
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
+from dressi_edge.compiler.graph import check
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, normalize, select, total
-from dressi_edge.compiler.graph.ir import Node, is_int, topological
+from dressi_edge.compiler.graph.ir import Node, topological
 from dressi_edge.compiler.graph.ir import image as image_extent
 from dressi_edge.compiler.graph.ops.arithmetic import _compare
 from dressi_edge.compiler.graph.ops.lookup import to_table
@@ -108,36 +109,9 @@ def test_a_choice_is_one_of_two_inputs(o):
 UNDIFFERENTIATED = {"sample": {0}, "stop_gradient": {0}, "lookup_near": {3, 4}, "capsule_sum": {3, 4}}
 
 
-def central(loss, feed, name, h=1e-6):
-    out = np.zeros_like(feed[name])
-    for k in np.ndindex(out.shape):
-        ends = []
-        for step in (h, -h):
-            moved = feed[name].copy()
-            moved[k] += step
-            ends.append(evaluate([loss], {**feed, name: moved})[0].item())
-        out[k] = (ends[0] - ends[1]) / (2 * h)
-    return out
-
-
 def check_gradients(name, arguments, attrs, without=frozenset(), build=None):
-    rng, program, feed, nodes = seeded(name + "gradient"), Program(), {}, []
-    for k, a in enumerate(arguments):
-        if isinstance(a, Node):
-            nodes.append(a)
-        else:
-            nodes.append(program.input(f"x{k}", image_layout(a)))
-            feed[f"x{k}"] = a.astype(np.int64 if a.dtype.kind in "iu" else np.float64)
-    y = build(*nodes) if build else apply(name, *nodes, **attrs)
-    weights = program.input("weights", layout_of(y))
-    feed["weights"] = rng.normal(size=(y.extent.height, y.extent.width, y.channels))
-    loss = total(dot(y, weights))
-    wrt = [x for k, x in enumerate(nodes) if x.op.name == "input" and not is_int(x.vtype) and k not in without]
-    for x, g in zip(wrt, gradients(loss, wrt)):
-        assert (g.vtype, g.extent) == (x.vtype, x.extent)
-        difference = central(loss, feed, x.name)
-        assert np.abs(difference).max() > 1e-3, f"{name}: the test says nothing about {x.name}"
-        np.testing.assert_allclose(evaluate([g], feed)[0], difference, rtol=2e-6, atol=1e-7, err_msg=f"{name} by {x.name}")
+    """By `graph/check.py`, as ops of users are tested."""
+    check.check_gradients(name, arguments, build or (lambda *xs: apply(name, *xs, **attrs)), without)
 
 
 @pytest.mark.parametrize("o", [o for o in GRADIENTS if o.name != "stop_gradient" and o.name != "lookup"], **ids)
@@ -309,18 +283,8 @@ def snippets(gpu):
 
 
 def same(device, reference, rtol, where):
-    """Equal integers; floats to rtol of the value or, as sums cancel, of the largest; overflow is infinite on both sides."""
-    if reference.dtype.kind == "i":
-        np.testing.assert_array_equal(device, reference, err_msg=where)
-        return
-    with np.errstate(over="ignore"):
-        expected = reference.astype(np.float32)
-    finite = np.isfinite(expected)
-    np.testing.assert_array_equal(device[~finite], expected[~finite], err_msg=where)
-    special = "special" in where
-    scale = np.float64(1e-37) if special else rtol * np.abs(expected[finite]).max(initial=0)
-    np.testing.assert_allclose(device[finite].astype(np.float64), expected[finite].astype(np.float64), rtol=rtol,
-                               atol=scale, err_msg=where)
+    """Special values have results of all sizes: there is no largest to be measured by."""
+    check.compare(device, reference, rtol, where, 1e-37 if "special" in where else None)
 
 
 @pytest.mark.parametrize("o", SNIPPETS, **ids)

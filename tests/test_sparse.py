@@ -317,11 +317,21 @@ def test_why_every_texel_is_updated_is_told(gpu):
         p.plan("other", {**Adam().update(p, "texture", texture, g, step), "shift": shift - h, "other.step": step + 1})
         return fit
 
+    def counted():
+        """A phase that also counts, in integers, the texels' updates."""
+        fit = Fit()
+        p, texture = fit.program, fit.textures["texture"]
+        step, count = p.state("other.step", Layout("unit", "int")), p.state("count", picture("int"))
+        g, = gradients(fit.loss(step), [texture])
+        changed = dot(g, g) > 0.0
+        p.plan("other", {**Adam().update(p, "texture", texture, g, step), "count": count + changed, "other.step": step + 1})
+        return fit
+
     assert told(Fit(), sparse_texels=MIN_TEXELS) == {"fit": {"texture": f"every texel is updated: it has 220; lists begin at {MIN_TEXELS}"}}
     assert told(Fit(size=(4096, 2048)))["fit"]["texture"].endswith("it has 8388608; lists end at 4194304, for they have room for all")
     assert told(Fit(), cache=False) == told(Fit(), naive=True) == told(Fit(), sparse_texels=None) == {}
     for made, why in ((regularized, "its update moves texels without gradient"), (watched, "more reads it than samples do"),
-                      (moving, "where it is sampled changes while the phase runs")):
+                      (moving, "where it is sampled changes while the phase runs"), (counted, "count of its size is an integer")):
         fit = made()
         assert told(fit) == {"fit": {"texture": "listed"}, "other": {"texture": f"every texel is updated: {why}"}}
         with Pair(gpu, fit) as pair:

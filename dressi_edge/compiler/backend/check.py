@@ -97,8 +97,8 @@ def _domain(where: str, s: Substage, in_place: bool) -> None:
     if domain.kind in (TEXELS, TILES):
         _that(is_int(domain.by.vtype) and domain.by.channels == 1, f"{where} is guarded by {domain.by!r}")
     if domain.kind == TEXELS:
-        inside = domain.by in s.nodes
-        _that((domain.by in domain.cone) == inside and set(domain.cone) <= set(s.nodes), f"{where} cannot compute its guard first")
+        nodes, cone = set(s.nodes), set(domain.cone)
+        _that((domain.by in cone) == (domain.by in nodes) and cone <= nodes, f"{where} cannot compute its guard first")
     if domain.kind == TILES:
         width, height = domain.tile
         size = -(-s.extent.width // width), -(-s.extent.height // height)

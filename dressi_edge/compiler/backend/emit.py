@@ -125,10 +125,11 @@ class _Emitter:
         self.slots: dict[tuple[Node, str, str], int] = {}
         vertex = {x for x, m in stage.reads if m == VERTEX}
         fragment = {x for x, m in stage.reads if m != VERTEX}
+        computed = set(stage.nodes)
         for node in stage.nodes:
             for k, x in enumerate(node.inputs):
                 mode = node.op.read(k)
-                if x.op.stage == "inline" or (mode == OWN and x in stage.nodes) or mode == COUNT:
+                if x.op.stage == "inline" or (mode == OWN and x in computed) or mode == COUNT:
                     continue
                 sampler = mode == FILTERED and hardware_filter(x, profile)
                 key = (x, SAMPLER, node.attrs["wrap"]) if sampler else (x, ATTACHMENT if x in inner else SAMPLED, "")
@@ -233,7 +234,8 @@ class _Emitter:
         test = f"if ({self.value(domain.by)} == 0) discard;"
         first = self.loads() + first
         self.own.clear()
-        rest = self.block([n for n in self.stage.nodes if n not in domain.cone])
+        cone = set(domain.cone)
+        rest = self.block([n for n in self.stage.nodes if n not in cone])
         return [*first, test, *self.loads(), *rest]
 
     def block(self, nodes: Sequence[Node]) -> list[str]:

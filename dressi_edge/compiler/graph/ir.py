@@ -102,9 +102,7 @@ class Node:
     __slots__ = ("op", "inputs", "attrs", "vtype", "extent", "serial", "__weakref__")
     __array_ufunc__ = None  # NumPy's numbers leave arithmetic with nodes to the node
 
-    def __bool__(self) -> bool:
-        return True
-
+    __bool__ = _refused("has no truth", "use select(condition, a, b), & and | for if, and and or, maximum and minimum for max and min")
     __len__ = _refused("has no length", "its extent.count says how many entries there are, channels how many numbers each")
     __iter__ = _refused("cannot be run through", "channels(node) gives its channels, slice_table(node, start, count) entries of a table")
     __contains__ = _refused("contains nothing that Python can see", "use equal(node, value)")
@@ -115,7 +113,7 @@ class Node:
     def __eq__(self, other: object) -> bool:
         if self is other:
             return True
-        if isinstance(other, int | float | np.generic | np.ndarray):
+        if isinstance(other, Node | int | float | np.generic | np.ndarray):
             raise GraphError(f"{self!r} == {other!r:.60}: a graph value is known on the device alone; equal(a, b) is 1 where they are "
                              "equal, `a is b` tells whether they are one node")
         return NotImplemented
@@ -155,7 +153,7 @@ def _exact(value):
 def intern(op, inputs: tuple[Node, ...], attrs: dict, vtype: str, extent: Extent) -> Node:
     """The one node with these fields."""
     global _serial
-    key = (op.name, tuple(map(id, inputs)), tuple((k, _exact(attrs[k])) for k in sorted(attrs)), vtype, extent)
+    key = (id(op), tuple(map(id, inputs)), tuple((k, _exact(attrs[k])) for k in sorted(attrs)), vtype, extent)
     node = _interned.get(key)
     if node is None:
         _serial += 1

@@ -164,7 +164,7 @@ def op(name: str, params: str | None = None, *, infer: Callable | None = None, r
     if not re.fullmatch(r"[A-Za-z]\w*", name):
         raise GraphError(f"op {name!r:.60}: a name is made of letters, digits and _")
     if unknown := [key for key in facts if key not in Op.__dataclass_fields__]:
-        raise GraphError(f"op {name}: {unknown[0]} is no fact{_nearest(unknown[0], Op.__dataclass_fields__)}")
+        raise GraphError(f"op {name}: {unknown[0]} is no fact{nearest(unknown[0], Op.__dataclass_fields__)}")
     words = tuple(params.split()) if params is not None else _positional(name, ref)
     modes = tuple(reads.split()) or (OWN,) * len(words)
     if len(modes) != len(words) or not set(modes) <= set(MODES):
@@ -175,12 +175,13 @@ def op(name: str, params: str | None = None, *, infer: Callable | None = None, r
         known = {*"y w h n type i p snap".split(), *must, *may, *(p + end for p in words for end in ("", "_at", "_w", "_h", "_n"))}
         if unknown := [mark for mark in _MARK.findall(row.glsl) if mark not in known]:
             raise GraphError(f"op {name}: {{{unknown[0]}}} in its GLSL is neither an input nor an attribute nor a mark"
-                             + _nearest(unknown[0], known))
+                             + nearest(unknown[0], known))
     OPS[name] = row
     return row
 
 
-def _nearest(word: str, known: Iterable[str]) -> str:
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Ends a sentence about a word that is not known with the one that was likely meant, if there is one."""
     found = get_close_matches(str(word), list(known), 1)
     return f"; did you mean {found[0]}?" if found else ""
 
@@ -342,7 +343,7 @@ def apply(name: str, /, *inputs, **attrs) -> Node:
     attribute is not known or missing, and where inputs do not fit in number, type or extent."""
     row = OPS.get(name)
     if row is None:
-        raise GraphError(f"there is no op {name!r:.60}{_nearest(name, OPS)}")
+        raise GraphError(f"there is no op {name!r:.60}{nearest(name, OPS)}")
     like_int = all(is_int(x.vtype) for x in inputs if isinstance(x, Node)) and any(isinstance(x, Node) for x in inputs)
     nodes = tuple(as_node(_number(x, like_int)) for x in inputs)
     if len(nodes) != len(row.params):
@@ -350,7 +351,7 @@ def apply(name: str, /, *inputs, **attrs) -> Node:
     for key in attrs:
         if key not in row.attrs and key not in row.optional:
             raise GraphError(f"{name}: {key} is no attribute of it; it has {' '.join(row.attrs + row.optional) or 'none'}"
-                             + _nearest(key, row.attrs + row.optional))
+                             + nearest(key, row.attrs + row.optional))
     if missing := [key for key in row.attrs if key not in attrs]:
         raise GraphError(f"{name}: {' '.join(missing)} must be given")
     nodes = _placed(row, stored(row, nodes))

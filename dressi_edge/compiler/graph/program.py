@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...cache.errors import GraphError
-from ...cache.layout import Layout
+from ...cache.layout import CHANNELS, KINDS, Layout
 from .ir import Extent, Node, topological
-from .optable import apply
+from .optable import apply, nearest
 
 MAX_STEPS = 1 << 40
 MAX_SIDE = 1 << 16
@@ -40,7 +40,12 @@ def _utf8(name: str) -> bool:
 
 
 def check_layout(what: str, name: str, layout: Layout) -> None:
-    """Raises GraphError unless an image can hold the layout: each side from 1 to 65536 texels."""
+    """Raises GraphError unless an image can hold the layout: kind and type are known, each side has from 1 to 65536 texels."""
+    if not isinstance(layout, Layout):
+        raise GraphError(f"{what} {name}: {type(layout).__name__} {layout!r:.60} is no Layout")
+    for key, word, known in (("kind", layout.kind, KINDS), ("type", layout.vtype, CHANNELS)):
+        if not isinstance(word, str) or word not in known:
+            raise GraphError(f"{what} {name}: its layout has {key} {word!r:.40}; allowed: {' '.join(known)}{nearest(word, known)}")
     for key in ("width", "height", "count", "columns"):
         if type(x := getattr(layout, key)) is not int or x < 1:
             raise GraphError(f"{what} {name}: its layout has {key} {x!r:.40}; a whole number above 0 is needed")
@@ -126,10 +131,23 @@ class Program:
         group = group or name
         check_name("group", group)
         new: dict[str, Value] = {}
+        for key, pair in outputs.items():
+            if not isinstance(pair, tuple | list) or len(pair) != 2:
+                raise GraphError(f"plan {name}: output {key!r:.60} is {type(pair).__name__}; a pair (node, layout) is needed")
+            check_layout("output", key, pair[1])
+        roots = {**updates, **{key: node for key, (node, _) in outputs.items()}}
+        for key, node in roots.items():
+            if not isinstance(node, Node):
+                raise GraphError(f"plan {name}: {key!r:.60} is {type(node).__name__}; a graph value is needed")
+        leaves = [n for n in topological(roots.values()) if n.op.held]
+        for n in leaves:
+            if n.name not in self.values or self.values[n.name].node is not n:
+                raise GraphError(f"plan {name} reads {n.op.name} {n!r}, which is not of this program; make it with its input() or state()")
         for key, node in updates.items():
             state = self.values.get(key)
             if state is None or self.roles[key] != "state":
-                raise GraphError(f"plan {name} updates {key}, which is no state")
+                states = [known for known, role in self.roles.items() if role == "state"]
+                raise GraphError(f"plan {name} updates {key}, which is no state{nearest(key, states)}")
             if (node.vtype, node.extent) != (state.node.vtype, state.node.extent):
                 raise GraphError(f"plan {name}: the update of {key} is {node!r}; {state.node!r} is needed")
         for key, (node, layout) in outputs.items():
@@ -138,17 +156,14 @@ class Program:
             known = self.values.get(key)
             if known is None:
                 check_name("output", key)
-                check_layout("output", key, layout)
                 new[key] = Value(node, layout)
             elif self.roles[key] != "output" or known.layout != layout:
                 raise GraphError(f"output {key}: the name is taken by {self.roles[key]} {known.node!r}")
-        roots = [*updates.values(), *(node for node, _ in outputs.values())]
         if not roots:
             raise GraphError(f"plan {name} updates nothing and gives nothing out")
         self._check_losses(name if updates else None, new)
         if dynamic is None:
-            dynamic = frozenset(updates) or frozenset(
-                n.attrs["name"] for n in topological(roots) if n.op.name in ("input", "state"))
+            dynamic = frozenset(updates) or frozenset(n.name for n in leaves)
         self.values |= new
         self.roles |= dict.fromkeys(new, "output")
         self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps, group))

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...cache.layout import table_size
 from ...cache.profile import Profile
-from ..graph.ir import COLUMN, Extent, Node, intern, rebuild, topological
+from ..graph.ir import COLUMN, Extent, Node, intern, is_int, rebuild, topological
 from ..graph.ops.compact import compact
 from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
@@ -87,6 +87,8 @@ class _Body:
         self.dirty = {n for n, names in dependence(roots).items() if names & dynamic}
         self.states = {name: program.values[name].node for name in spec.updates if program.values[name].node.extent == extent}
         self.targets = {name: root for name, root in zip(spec.updates, roots) if name in self.states}
+        if counters := [name for name, state in self.states.items() if is_int(state.vtype)]:
+            raise _Dense(f"{counters[0]} of its size is an integer")
         if any(x in self.dirty for n in topological(roots) if n.op.listed and n.inputs[0] in self.leaves for x in n.inputs[1:]):
             raise _Dense("where it is sampled changes while the phase runs")
         self.nodes = self._between()
@@ -171,7 +173,7 @@ class _Body:
         for key, s in self.states.items():
             copies[key] = intern(s.op, (), {**s.attrs, "name": f"{name}.{key}", "extent": extent}, s.vtype, extent)
             enter[copies[key]] = apply("lookup", s, found.entries)
-        copy = {s: copies[key] for key, s in self.states.items()}
+        copy, samples = {s: copies[key] for key, s in self.states.items()}, set(self.samples)
         total = keep(found.total)
         places = apply("add", found.slots, 1)
         put = keep(places)
@@ -179,7 +181,7 @@ class _Body:
         def rewrite(n: Node, inputs: tuple[Node, ...]) -> Node:
             if n in copy:
                 return copy[n]
-            if n in self.samples:
+            if n in samples:
                 how = n.op.listed(n)
                 return how.read(copy[n.inputs[0]], keep(how.find(places)))
             if n not in self.nodes:

@@ -34,7 +34,7 @@ def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Subs
         if not again:
             return parts
         inner = {x for n in again for x, _ in edges(n)} - {x for n in nodes if n not in again for x, _ in edges(n)}
-        before += sorted(again - inner, key=nodes.index)
+        before += [n for n in nodes if n in again and n not in inner]
 
 
 def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile) -> bool:

@@ -56,11 +56,11 @@ class Frame:
 
     def settled(self, roots: list[Node]) -> list[Node]:
         """The roots of a plan; where they read which faces pixels show, silhouettes are taken from the same drawing."""
-        if not {"_outline", "fragments"} <= self.__dict__.keys() or self.fragments.front not in topological(roots):
+        if not {"_outline", "fragments"} <= self.__dict__.keys() or self.fragments.front not in set(topological(roots)):
             return roots
         same = {self._outline.silhouette(): self.fragments.silhouette(),
                 self._outline.layers[0].hard: self.fragments.layers[0].hard}
-        new = rebuild(roots, lambda n, inputs: same.get(n) or intern(n.op, inputs, n.attrs, n.vtype, n.extent))
+        new = rebuild(roots, lambda n, inputs: same[n] if n in same else intern(n.op, inputs, n.attrs, n.vtype, n.extent))
         return [new[root] for root in roots]
 
     def surface(self, layer: int = 0, part: int = 0) -> Surface:
