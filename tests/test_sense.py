@@ -39,12 +39,12 @@ def photos(mesh, cameras):
     return Views(images, tuple(cameras), tuple(map(str, range(len(cameras)))))
 
 
-def told(mesh, views, silhouettes=True):
+def told(mesh, views, silhouettes=True, placed=True):
     """("error" or "note" or "", the lines)."""
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
         try:
-            sense.check(mesh, views, silhouettes)
+            sense.check(mesh, views, silhouettes, placed=placed)
         except InputError as error:
             assert "\n" not in str(error)
             return "error", str(error)
@@ -63,7 +63,7 @@ def transposed(pose):
 
 def test_a_good_start_is_left_in_peace():
     views = photos(flag(), cameras())
-    assert told(flag(), views) == ("", "") and told(icosphere(2, 0.5), views)[0] == "", "a ball to begin with too"
+    assert told(flag(), views) == ("", "") and told(icosphere(2, 0.5), views, placed=False)[0] == "", "a ball to begin with too"
     assert told(flag(), views.cameras) == ("", ""), "cameras without pictures"
     assert told(flag(), photos(flag(), cameras(1))) == ("", "")
     spread = icosphere(2, 4.0)  # a room around the cameras
@@ -102,12 +102,27 @@ def test_a_mesh_in_no_view_is_told_where_it_and_the_cameras_are():
 
 def test_units_that_differ_are_told():
     views = photos(flag(), cameras())
-    kind, text = told(Mesh(flag().positions * 0.001, flag().faces), views)
+    kind, text = told(Mesh(flag().positions * 0.001, flag().faces), views, placed=False)
     assert kind == "error" and "pixels large in all views" in text
-    kind, text = told(Mesh(flag().positions * 0.08, flag().faces), views)
+    kind, text = told(Mesh(flag().positions * 0.08, flag().faces), views, placed=False)
     assert kind == "note" and "times smaller in the views than the masks" in text
-    kind, text = told(Mesh(flag().positions * 20.0, flag().faces), views)
+    kind, text = told(Mesh(flag().positions * 20.0, flag().faces), views, placed=False)
     assert kind == "note" and "inside the mesh" in text
+
+
+@pytest.mark.parametrize("times, told_", [(0.1, "the poses are in a unit 10 times larger"), (1e-3, "a unit 1000 times larger"),
+                                          (10.0, "the poses are in a unit 10 times smaller"), (1e3, "a unit 1000 times smaller")])
+def test_units_of_mesh_and_poses_are_told_where_one_explains_the_masks(times, told_):
+    kind, text = told(Mesh(flag().positions / times, flag().faces), photos(flag(), cameras()))
+    assert kind in ("note", "error") and (told_ in text or times > 100 and "pixels large" in text), (kind, text)
+
+
+@pytest.mark.parametrize("times", [0.25, 2.0, 4.0])
+def test_focal_lengths_of_other_pictures_are_noted(times):
+    views = photos(flag(), cameras())
+    other = replace(views, cameras=tuple(replace(c, fx=times * c.fx, fy=times * c.fy) for c in views.cameras))
+    kind, text = told(flag(), other)
+    assert kind == "note" and f"fl_x and fl_y belong to pictures {times:g} times as large? divide them by {times:g}" in text, (kind, text)
 
 
 @pytest.mark.parametrize("change, kind, text", [

@@ -85,7 +85,8 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
 
     mesh, views = make_mesh(), make_views()
     views_table.checked(sense.check, mesh, views, any(loss.kind == "silhouette" for phase in phases for loss in phase.losses),
-                        "mesh.normalize has moved and scaled the mesh, but not the cameras" if job.get("mesh").get("normalize") else "")
+                        "mesh.normalize has moved and scaled the mesh, but not the cameras" if job.get("mesh").get("normalize") else "",
+                        "path" in job.get("mesh"))
     albedo = settings["albedo"] or _albedo(phases, mesh)
     textured = None if albedo != "texture" else settings["texture_size"] if mesh.texture is None else mesh.texture.shape[1::-1]
     height, width = views.images.shape[1:3]

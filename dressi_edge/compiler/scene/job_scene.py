@@ -146,7 +146,8 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
     placed = replace(placed, positions=placed.positions - origin)
     silhouettes = any(t.kind == "silhouette" for phase in phases for t in phase.terms)
     views_table.checked(sense.check, placed, views, silhouettes,
-                        "normalize has moved and scaled a part, but not the cameras" * any(p.table.has("normalize") for p in parts))
+                        "normalize has moved and scaled a part, but not the cameras" * any(p.table.has("normalize") for p in parts),
+                        all(p.table.has("path") for p in parts))
     if linear:
         views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
     scene = Scene(views.cameras, background, encode_srgb if srgb else None)

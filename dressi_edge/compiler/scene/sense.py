@@ -131,12 +131,23 @@ def _lens(cameras: Sequence[Camera]) -> Iterator[tuple[str, str, list[Camera]]]:
                [replace(c, fx=c.fx / ratio, fy=c.fy / ratio, cx=c.cx / ratio, cy=c.cy / ratio) for c in cameras])
 
 
+def _scales(cameras: Sequence[Camera]) -> Iterator[tuple[str, str, list[Camera]]]:
+    """Focal lengths of pictures of another size, poses of another unit."""
+    for times in (2.0, 4.0, 8.0, 0.5, 0.25, 0.125):
+        yield (f"fl_x and fl_y belong to pictures {times:g} times as large?", f"divide them by {times:g}",
+               [replace(c, fx=c.fx / times, fy=c.fy / times) for c in cameras])
+    for times in (0.1, 0.01, 0.001, 10.0, 100.0, 1000.0):
+        poses = [c.world_to_camera * np.pad(np.full((3, 1), times), ((0, 1), (3, 0)), constant_values=1.0) for c in cameras]
+        yield (f"the poses are in a unit {max(times, 1 / times):g} times {'smaller' if times < 1 else 'larger'} than the mesh's?",
+               f"multiply the positions (column 3) of the poses by {times:g}",
+               [replace(c, world_to_camera=pose) for c, pose in zip(cameras, poses)])
+
+
 def explained(mesh: Mesh, cameras: Sequence[Camera], masks: np.ndarray | None) -> Iterator[tuple[str, str, Sight, float]]:
     """Of each convention: what was likely meant, what helps, the sight it gives, and its agreement with the masks' boxes (n, 4)."""
-    for cause, cure, change in CONVENTIONS:
-        found = sight(mesh, tried := [replace(c, world_to_camera=inverse_rigid(change(c.camera_to_world))) for c in cameras], False)
-        yield cause, cure, found, agreement(found, masks, tried)
-    for cause, cure, tried in _lens(cameras):
+    turned = ((cause, cure, [replace(c, world_to_camera=inverse_rigid(change(c.camera_to_world))) for c in cameras])
+              for cause, cure, change in CONVENTIONS)
+    for cause, cure, tried in (*turned, *_lens(cameras), *_scales(cameras)):
         found = sight(mesh, tried, False)
         yield cause, cure, found, agreement(found, masks, tried)
 
@@ -165,9 +176,11 @@ def mask_boxes(images: np.ndarray) -> np.ndarray:
 
 # ---- the checks
 
-def check(mesh: Mesh, views: Views | Sequence[Camera], silhouettes: bool = False, remark: str = "") -> None:
+def check(mesh: Mesh, views: Views | Sequence[Camera], silhouettes: bool = False, remark: str = "",
+          placed: bool = False) -> None:
     """Raises InputError where nothing can come of the start; notes what looks wrong. silhouettes: whether a loss compares with the masks.
-    remark: what else may have put the mesh where it is not seen."""
+    remark: what else may have put the mesh where it is not seen. placed: the mesh is believed to be where and what the object is, such as
+    one of a file, and no blob to begin with."""
     with np.errstate(all="ignore"):
         cameras = views.cameras if isinstance(views, Views) else tuple(views)
         names = views.names if isinstance(views, Views) else tuple(f"view {k}" for k in range(len(cameras)))
@@ -176,7 +189,7 @@ def check(mesh: Mesh, views: Views | Sequence[Camera], silhouettes: bool = False
         if isinstance(views, Views):
             masks = mask_boxes(views.images)
             _check_masks(views, masks, found, silhouettes)
-        _check_place(mesh, cameras, names, found, masks, remark)
+        _check_place(mesh, cameras, names, found, masks, remark, placed)
         _check_lens(cameras, names)
 
 
@@ -204,21 +217,22 @@ def _check_masks(views: Views, masks: np.ndarray, found: Sight, silhouettes: boo
 
 
 def _check_place(mesh: Mesh, cameras: Sequence[Camera], names: Sequence[str], found: Sight, masks: np.ndarray | None,
-                 remark: str) -> None:
+                 remark: str, placed: bool) -> None:
     n, now = len(cameras), agreement(found, masks, cameras)
     wanted = np.ones(n, bool) if masks is None or not np.isfinite(masks).any() else np.isfinite(masks).all(axis=1)
-    missing = wanted & ~found.seen
-    best = max(explained(mesh, cameras, masks), key=lambda e: (round(e[2].seen[wanted].mean(), 2), round(e[3], 2))) if missing.any() or (
-        masks is not None and now < 0.3) else None
-    better = best is not None and best[2].seen[wanted].mean() >= 0.9 and best[3] > max(0.1, 2.0 * now)
+    missing, best, better = wanted & ~found.seen, None, False
+    if missing.any() or masks is not None and now < (0.75 if placed else 0.3):
+        best = max(explained(mesh, cameras, masks), key=lambda e: (round(e[2].seen[wanted].mean(), 2), round(e[3], 2)))
+        better = best[2].seen[wanted].mean() >= 0.9 and best[3] > max(0.1, 2.0 * now)
     if not found.seen.any() or better and missing.mean() > 0.5:
         seen = "no view" if not found.seen.any() else f"{found.seen.sum()} of {n} views"
         raise InputError(f"the mesh is in {seen}: {_why(mesh, cameras, found, best if better else None)}{remark and '; ' + remark}")
     if left := _some(missing, names):
         note(f"the mesh is not in {left}, though there is a mask" if masks is not None else f"the mesh is not in {left}")
-    elif better and best[3] > 0.6:
+    elif placed and best is not None and best[3] > max(0.6 if now < 0.3 else 0.85, now + 0.2):
         note(f"the mesh lies elsewhere than the masks; {best[0]} {best[1]}")
-    _check_size(cameras, found, masks)
+    else:
+        _check_size(cameras, found, masks)
     if (found.beyond > 0.0).any():
         note(f"the mesh reaches to {found.depth[1]:.4g} along the view, beyond far = {max(c.far for c in cameras):g}, where what hides "
              "what is not told; set far higher")
