@@ -123,6 +123,7 @@ class Node:
 
     @property
     def channels(self) -> int:
+        """How many numbers a texel has, 1 to 4."""
         return CHANNELS[self.vtype]
 
     @property

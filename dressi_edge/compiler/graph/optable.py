@@ -266,19 +266,23 @@ def at(*positions: int, vtype: str | None = None) -> Callable:
 # of order 1 whatever it is made of.
 
 def product(node: Node, sizes: Sequence[float]) -> float:
+    """log2 of the size of a product."""
     return sizes[0] + sizes[-1]
 
 
 def quotient(node: Node, sizes: Sequence[float]) -> float:
+    """log2 of the size of a quotient; of one by zero, that of its first input."""
     return sizes[0] - (sizes[1] if math.isfinite(sizes[1]) else 0.0)
 
 
 def chosen(node: Node, sizes: Sequence[float]) -> float:
+    """Of a choice, that of its options, but for literals where there is another."""
     options = list(zip(node.inputs, sizes))[-2:]
     return max([size for x, size in options if x.op.name != "literal"] or [size for _, size in options])
 
 
 def unit(node: Node, sizes: Sequence[float]) -> float:
+    """Of order 1, whatever it is made of."""
     return 0.0
 
 

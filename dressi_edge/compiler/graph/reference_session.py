@@ -63,10 +63,12 @@ class ReferenceSession:
             raise InputError(f"{name!r:.60} is no {' or '.join(roles)} of this problem; there are: {known}")
 
     def shape(self, name: str) -> tuple[int, ...]:
+        """The shape of a value's array. Raises InputError."""
         self._known(name, ("input", "state", "output"))
         return self.program.values[name].layout.shape
 
     def set(self, name: str, array) -> None:
+        """Give an input or a state an array, as `Session.set`."""
         self._known(name, ("input", "state"))
         value = self.program.values[name]
         self._now.feed[name] = value.layout.to_image(array, name, value.node.half is not None)
@@ -97,6 +99,7 @@ class ReferenceSession:
         return evaluate(roots, self._now.feed)
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
+        """Run a phase n times, or for so many seconds, as `Session.step`; how often it ran."""
         stop = check_step(n, seconds, cancel)
         if phase is not None and phase not in self.phases:
             raise InputError(f"{phase!r:.60} is no phase of this problem; there are: {' '.join(self.phases)}")
@@ -125,7 +128,9 @@ class ReferenceSession:
         return vjp.backward(self, name, gradients)
 
     def loss(self) -> float:
+        """The loss of the phase."""
         return float(self.get(f"{self.phase}.loss"))
 
     def report(self) -> dict:
+        """What ran, and on what."""
         return {"device": self.device.name, "driver": self.device.driver, "profile": "reference", "runs": dict(self._now.runs)}

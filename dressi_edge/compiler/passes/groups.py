@@ -28,6 +28,7 @@ class Lists:
     total: Node
 
     def layout(self, copy: Node) -> Layout:
+        """In which a copy is given out."""
         return Layout("image", copy.vtype, self.extent.width, self.extent.height)
 
 

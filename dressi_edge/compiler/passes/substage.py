@@ -42,6 +42,7 @@ class Substage:
 
     @property
     def raster(self) -> bool:
+        """Whether it draws geometry."""
         return self.nodes[0].op.stage == "raster"
 
     @property
@@ -67,14 +68,17 @@ class Stage:
 
 
 def is_inline(node: Node) -> bool:
+    """Whether its value is written into the text of its readers."""
     return node.op.stage == "inline"
 
 
 def is_leaf(node: Node) -> bool:
+    """Whether it is there before anything runs."""
     return node.op.stage == "leaf"
 
 
 def edges(node: Node):
+    """Its inputs that are images, each with how it is read."""
     for k, x in enumerate(node.inputs):
         if not is_inline(x):
             yield x, node.op.read(k)

@@ -139,6 +139,7 @@ class Compact:
 
     @property
     def slots(self) -> Node:
+        """Of each entry its place in the list, or -1."""
         return apply("slot_of", self.flags, self.entries, self.running, each=self.each)
 
     def lookup(self, values: Node, names: np.ndarray) -> Node:

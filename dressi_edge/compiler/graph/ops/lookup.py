@@ -188,6 +188,7 @@ def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> 
 
 
 def lookup_ref(entries, index, *_, **attrs):
+    """Entries by index, zero where it is negative; held at the last."""
     flat = entries.reshape(-1, entries.shape[2])
     return np.where(index >= 0, flat[np.clip(index[..., 0], 0, len(flat) - 1)], 0)
 

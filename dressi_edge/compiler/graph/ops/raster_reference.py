@@ -77,10 +77,12 @@ def _layer(behind, clip, faces, entries, count, extent, **attrs):
 
 
 def rasterize(clip, faces, entries, count, **attrs):
+    """First layer of listed faces: their codes."""
     return _layer(None, clip, faces, entries, count, **attrs)[0][..., None]
 
 
 def rasterize_hard(clip, corners, extent, **attrs):
+    """The front face of each pixel."""
     code = np.full((extent.height, extent.width), -1, np.int64)
     depth = np.ones((extent.height, extent.width))
     for ys, xs, c, d in _fragments(clip, corners, None, extent, **attrs, radius=0.01):
@@ -90,6 +92,7 @@ def rasterize_hard(clip, corners, extent, **attrs):
 
 
 def rasterize_covered(clip, faces, behind, extent, **attrs):
+    """Whether any face covers the pixel."""
     code = np.full((extent.height, extent.width), -1, np.int64)
     for ys, xs, c, _ in _fragments(clip, faces.reshape(-1, 4)[:, :3], None, extent, **attrs, radius=0.01):
         code[ys[c & 1 == 1], xs[c & 1 == 1]] = 0
@@ -97,6 +100,7 @@ def rasterize_covered(clip, faces, behind, extent, **attrs):
 
 
 def rasterize_segments(segments, entries, front, count, extent, radius, edge_count, cell_w, cell_h, columns, slots):
+    """The nearest listed segment of each pixel that is outline for it."""
     code = np.full((extent.height, extent.width), -1, np.int64)
     nearest = np.full((extent.height, extent.width), np.inf)
     cell = np.array([cell_w, cell_h])
@@ -121,6 +125,7 @@ def rasterize_segments(segments, entries, front, count, extent, radius, edge_cou
 
 
 def fold_segments(clip, edges, edge_count, vertices, views, near, cell_w, cell_h):
+    """Segments of boundary edges and folds on screen; 1e9 for all others."""
     h, v = clip.reshape(-1, 4)[:views * vertices, [0, 1, 3]].reshape(views, vertices, 3), edges.reshape(-1, 4)[:edge_count]
     o, e = h[:, v[:, 0]], h[:, v[:, 1]]
     n = np.cross(o, e - o)
@@ -137,15 +142,18 @@ def _with_depth(code, depth):
 
 
 def rasterize_first(clip, faces, entries, count, **attrs):
+    """First layer and the bits of its depth."""
     return _with_depth(*_layer(None, clip, faces, entries, count, **attrs))
 
 
 def rasterize_peel(clip, faces, entries, count, previous, **attrs):
+    """The layer behind `previous`, and the bits of its depth."""
     front = previous[..., 0], np.ascontiguousarray(previous[..., 1]).view(np.float64)
     return _with_depth(*_layer(front, clip, faces, entries, count, **attrs))
 
 
 def nearest_edge(code, face_edges, segments, position, active, face_count, edge_count):
+    """The edge of each pixel's face that is nearest to it."""
     code = code[..., 0]
     face = np.maximum(code >> 1, 0)
     view = face // face_count
