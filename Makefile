@@ -9,25 +9,39 @@ DRIVERS ?=
 APT_PACKAGES ?= mesa-vulkan-drivers libvulkan1 glslang-tools spirv-tools vulkan-validationlayers python3-venv \
     gcc libc6-dev libvulkan-dev
 
+ANDROID_PACKAGES ?= clang-16 lld-16 llvm-16 aapt apksigner android-framework-res libsmali-java android-libnativehelper-dev \
+    openjdk-17-jdk-headless qemu-user mmdebstrap libvulkan-dev
+
 READY := $(VENV)/.ready
 .ONESHELL:
 .SHELLFLAGS := -ec
 .DELETE_ON_ERROR:
-.PHONY: setup test test-full test-drivers fuzz fuzz-text fuzz-meshes demo clean
+.PHONY: setup test test-full test-drivers test-android apk fuzz fuzz-text fuzz-meshes demo clean
 export DRIVERS
 
 setup: $(READY)
 
 test: setup
 	$(VENV)/bin/ruff check
-	$(VENV)/bin/pytest -q $(if $(DRIVERS),-m 'not full') $(ARGS)
+	$(VENV)/bin/pytest -q $(if $(DRIVERS),-m 'not full and not android') $(ARGS)
 
 test-full: setup
 	$(VENV)/bin/ruff check
-	$(VENV)/bin/pytest -q -m 'not drivers' $(ARGS)
+	$(VENV)/bin/pytest -q -m 'not drivers and not android' $(ARGS)
 
 test-drivers: setup
 	$(VENV)/bin/pytest -q -m drivers tests/test_drivers.py $(ARGS)
+
+# The sample as an APK, of Debian packages alone, and its library on 64-bit ARM under qemu-user: docs/android.md.
+test-android: setup
+	@$(call install,$(ANDROID_PACKAGES))
+	$(VENV)/bin/pytest -q -s -m 'android or not android' tests/test_android.py $(ARGS)
+
+apk: setup
+	@$(call install,$(ANDROID_PACKAGES))
+	rm -rf build/assets
+	PYTHONPATH=. $(VENV)/bin/python android/offline/assets.py build/assets
+	$(VENV)/bin/python android/offline/build.py build build/assets
 
 fuzz: setup
 	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_bundle.py $(or $(MUTATIONS),200000) $(or $(SEED),0)
@@ -45,27 +59,32 @@ clean:
 	rm -rf $(VENV) build demo_out *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# Installs those of these Debian packages that are missing.
+define install
+fail() { echo "setup: $$*" >&2; exit 1; }
+missing=
+for package in $(1); do
+    if [ "$$package" = python3-venv ] && $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null; then continue; fi
+    dpkg-query -W -f '$${db:Status-Status}\n' "$$package" 2>/dev/null | grep -qx installed || missing="$$missing $$package"
+done
+if [ -n "$$missing" ]; then
+    echo "setup: installing$$missing"
+    skip="or, where you have the like already, make setup APT_PACKAGES="
+    command -v apt-get >/dev/null || fail "needs what Debian calls$$missing; there is no apt-get here: install them, then run" \
+        "make setup APT_PACKAGES="
+    as=
+    if [ "$$(id -u)" != 0 ]; then
+        command -v sudo >/dev/null || fail "needs apt-get install$$missing as root; there is no sudo here; $$skip"
+        as=sudo
+    fi
+    $$as apt-get -qq update || echo "setup: apt-get update failed; trying with the lists at hand" >&2
+    $$as env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends install $$missing >/dev/null ||
+        fail "needs apt-get install$$missing, which failed; do it yourself, $$skip"
+fi
+endef
+
 $(READY): pyproject.toml setup.py Makefile
-	@fail() { echo "setup: $$*" >&2; exit 1; }
-	missing=
-	for package in $(APT_PACKAGES); do
-	    if [ "$$package" = python3-venv ] && $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null; then continue; fi
-	    dpkg-query -W -f '$${db:Status-Status}\n' "$$package" 2>/dev/null | grep -qx installed || missing="$$missing $$package"
-	done
-	if [ -n "$$missing" ]; then
-	    echo "setup: installing$$missing"
-	    skip="or, where you have the like already, make setup APT_PACKAGES="
-	    command -v apt-get >/dev/null || fail "needs what Debian calls$$missing; there is no apt-get here: install them, then run" \
-	        "make setup APT_PACKAGES="
-	    as=
-	    if [ "$$(id -u)" != 0 ]; then
-	        command -v sudo >/dev/null || fail "needs apt-get install$$missing as root; there is no sudo here; $$skip"
-	        as=sudo
-	    fi
-	    $$as apt-get -qq update || echo "setup: apt-get update failed; trying with the lists at hand" >&2
-	    $$as env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends install $$missing >/dev/null ||
-	        fail "needs apt-get install$$missing, which failed; do it yourself, $$skip"
-	fi
+	@$(call install,$(APT_PACKAGES))
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || fail "$(PYTHON) must be Python 3.10 or later; set PYTHON="
 	echo "setup: making $(VENV) with $$($(PYTHON) --version)"
 	$(PYTHON) -m venv $(VENV) || fail "$(PYTHON) -m venv failed; Debian has it in python3-venv"

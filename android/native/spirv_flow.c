@@ -162,11 +162,11 @@ static void check_back(const Flow *f, int b, int header) {
 /* Whether the branch goes to where a construct around it ends, or a loop goes on; fails where it may not go there. */
 static bool leaves(const Flow *f, int b, int x) {
     int low = f->before[x], c = f->inside[b], left = 0, last = -1, floor = low >= 0 ? f->constructs[low].depth : 0;
-    bool selects = false, switches = false, loops = false, continues = false; /* kinds of all that are left but the last */
+    bool switches = false, loops = false, continues = false; /* kinds of all that are left but the last */
     while (c >= 0 && f->constructs[c].depth > floor) {
         if (last >= 0) {
             char kind = f->constructs[last].kind;
-            selects |= kind == SELECT, switches |= kind == SWITCH, loops |= kind == LOOP, continues |= kind == CONTINUE;
+            switches |= kind == SWITCH, loops |= kind == LOOP, continues |= kind == CONTINUE;
         }
         last = c;
         left++;
