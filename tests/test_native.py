@@ -145,12 +145,7 @@ def damaged_shaders(seed: int, count: int):
         modules |= {bytes(b.blob(k)) for k in b.description["shaders"]}
     sound = sorted(x for x in modules if len(x) < 8000)
     for _ in range(count):
-        data = r.choice(sound)
-        words = struct.unpack(f"<{len(data) // 4}I", data)
-        instructions = test_spirv.split(words)
-        test_spirv.damaged(r, instructions)
-        changed = [*words[:5], *(x for i in instructions for x in i)]
-        yield struct.pack(f"<{len(changed)}I", *changed)
+        yield fuzz_bundle.mutate_instructions(r.choice(sound), r)
 
 
 def same_judgement_of_shaders(player, modules) -> tuple[int, int]:
