@@ -25,7 +25,7 @@ from dressi_edge.compiler.graph.ops.raster_reference import segment_distance2
 from dressi_edge.compiler.graph.optable import EMPTY, NEGATIVE, OPS, ZERO, elementwise, floats, integers
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.render.atlas import Atlas
-from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.raster import Outline, Softness, rasterized
 from dressi_edge.compiler.render.topology import Topology
 
 pytest_plugins = ["gpu"]
@@ -72,7 +72,7 @@ def test_every_row_has_its_place_in_these_tests():
     assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "composite"}
     assert [o.name for o in OPS.values() if o.stage == "composite"] == ["sum"]
     assert {"rasterize", "rasterize_covered", "rasterize_first", "rasterize_hard", "rasterize_peel",
-            "rasterize_segments"} == {o.name for o in RASTER}
+            "rasterize_segments", "rasterize_contours"} == {o.name for o in RASTER}
     tested = {o.name for o in (*SNIPPETS, *RASTER)} | leaves | {"sum"}
     assert tested == OPS.keys()
 
@@ -387,7 +387,8 @@ def raster(gpu):
     clip = program.input("clip", Layout("table", "vec4", count=len(ball) * 3))
     found = topological([rasterized(clip, topology, atlas, softness, near).layers[-1].face for softness in
                          (Softness(r), Softness(r, distance="face"), Softness(r, layers=2))]
-                        + [rasterized(clip, topology, atlas, Softness(r), near, faces=False).front])
+                        + [rasterized(clip, topology, atlas, Softness(r), near, faces=False).front]
+                        + [Outline(r, contours=True).draw(clip, topology, atlas, near, True).layers[-1].face])
     nodes = {n.op.name: n for n in found if n.op in RASTER}
     assert len(nodes) == len(RASTER)
     program.plan("p", {}, {name: (y, layout_of(y)) for name, y in nodes.items()})
@@ -399,7 +400,7 @@ def raster(gpu):
     return gpu.run(program, feed), dict(zip(nodes, evaluate(nodes.values(), feed))), sure, listed
 
 
-@pytest.mark.parametrize("o", [o for o in RASTER if o.name not in ("rasterize_hard", "rasterize_segments")], **ids)
+@pytest.mark.parametrize("o", [o for o in RASTER if o.name not in ("rasterize_hard", "rasterize_segments", "rasterize_contours")], **ids)
 def test_rasterization_on_lavapipe_is_the_reference(o, raster):
     device, reference, (clear, same_value), _ = raster
     found, expected = np.atleast_3d(device[o.name]), reference[o.name]

@@ -4,6 +4,7 @@ from .. import operators
 from . import (
     arithmetic,
     compact,
+    contour,
     half,
     inverse_uv,
     join,

@@ -189,7 +189,7 @@ op("rasterize_covered", "clip faces behind", attrs=DRAWN, infer=_code(1), reads=
        "surface; `behind`: 0 if all corners of all views are before the near plane.")
 
 # A list of segments over the whole atlas: the box around each.
-_AROUND = """
+AROUND = """
 int slot = gl_VertexIndex / 6, corner = gl_VertexIndex % 6, entry = {entries_at}(slot);
 gl_Position = vec4(0.0, 0.0, 0.0, 1.0);
 segment = vec4(0.0);
@@ -210,7 +210,7 @@ if (entry >= 0) {
     gl_Position = vec4(o / (0.5 * vec2({w}, {h})) - 1.0, 0.0, 1.0);
 }
 """
-_SEGMENT_VARYINGS = (("int", "code"), ("vec2", "center"), ("vec4", "segment"))
+SEGMENT_VARYINGS = (("int", "code"), ("vec2", "center"), ("vec4", "segment"))
 _NEAREST = """
 ivec2 cell_size = ivec2({cell_w}, {cell_h});
 vec2 q = gl_FragCoord.xy - center, along = segment.zw - segment.xy;
@@ -223,9 +223,10 @@ if (inner || d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y)
 gl_FragDepth = 0.9999 * d / float({radius});
 {y} = code;
 """
-op("rasterize_segments", "segments entries front count", infer=_code(1), reads="vertex vertex texel count", stage="raster",
+op("rasterize_segments", "segments entries front count", attrs="extent radius edge_count cell_w cell_h columns slots", infer=_code(1),
+   reads="vertex vertex texel count", stage="raster",
    ref=reference.rasterize_segments, cost=200,
-   draws=(Draw(_AROUND, _NEAREST, _SEGMENT_VARYINGS, vertices=(6, "slots"), count="count"),),
+   draws=(Draw(AROUND, _NEAREST, SEGMENT_VARYINGS, vertices=(6, "slots"), count="count"),),
    doc="For each pixel the slot of the nearest listed segment within `radius` in its cell that is outline for it, the first of equals; -1 "
        "where there is none. Outline: `front` does not cover the pixel, or not the one that lies a pixel beyond the nearest point.")
 

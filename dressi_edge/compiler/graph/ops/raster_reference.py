@@ -24,7 +24,7 @@ def clip_segment(a, b, near):
     return np.concatenate([a[:2] / a[2], b[:2] / b[2]])
 
 
-def _cross2(a, b):
+def cross2(a, b):
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
@@ -52,7 +52,7 @@ def _fragments(clip, faces, entries, extent, cell_w, cell_h, columns, views, ver
             ys, xs = (g.ravel() for g in np.mgrid[lo[1]:hi[1], lo[0]:hi[0]])
             p = np.stack([xs, ys], 1) + 0.5 - half[:2]
             a = [h[k, :2] - p * h[k, 2] for k in range(3)]
-            e = np.stack([_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])], 1) * (-1 if det < 0 else 1)
+            e = np.stack([cross2(a[1], a[2]), cross2(a[2], a[0]), cross2(a[0], a[1])], 1) * (-1 if det < 0 else 1)
             total, w = e.sum(1), e @ h[:, 2]
             hard = (e.min(1) >= 0) & (total > 0) & (w > near * total)
             d = np.sqrt(np.min([segment_distance2(p, s) for s in segments], axis=0))
@@ -99,10 +99,8 @@ def rasterize_covered(clip, faces, behind, extent, **attrs):
     return code[..., None]
 
 
-def rasterize_segments(segments, entries, front, count, extent, radius, edge_count, cell_w, cell_h, columns, slots):
-    """The nearest listed segment of each pixel that is outline for it."""
-    code = np.full((extent.height, extent.width), -1, np.int64)
-    nearest = np.full((extent.height, extent.width), np.inf)
+def _beside(segments, entries, count, radius, edge_count, cell_w, cell_h, columns):
+    """Of each listed segment: its slot, pixels near it (ys, xs), their distance, how far along their foot is, and the pixels beyond."""
     cell = np.array([cell_w, cell_h])
     for slot, entry in enumerate(entries.reshape(-1)[:int(count.reshape(-1)[-1]) // 6]):
         view, (a, b) = entry // edge_count, segments.reshape(-1, 2, 2)[slot]
@@ -113,14 +111,35 @@ def rasterize_segments(segments, entries, front, count, extent, radius, edge_cou
             continue
         ys, xs = (g.ravel() for g in np.mgrid[lo[1]:hi[1], lo[0]:hi[0]])
         p = np.stack([xs, ys], 1) + 0.5 - cell / 2
-        foot = a + np.clip((p - a) @ (b - a) / max((b - a) @ (b - a), 1e-20), 0, 1)[:, None] * (b - a)
+        t = np.clip((p - a) @ (b - a) / max((b - a) @ (b - a), 1e-20), 0, 1)
+        foot = a + t[:, None] * (b - a)
         d = np.linalg.norm(foot - p, axis=1)
         beyond = foot + (foot - p) / np.maximum(d, 1e-10)[:, None]
         at = corner + np.clip(np.floor(beyond + cell / 2), 0, cell - 1).astype(int)
-        ys, xs = ys + corner[1], xs + corner[0]
+        yield slot, ys + corner[1], xs + corner[0], d, t, at
+
+
+def rasterize_segments(segments, entries, front, count, extent, radius, slots, **cells):
+    """The nearest listed segment of each pixel that is outline for it."""
+    code = np.full((extent.height, extent.width), -1, np.int64)
+    nearest = np.full((extent.height, extent.width), np.inf)
+    for slot, ys, xs, d, _, at in _beside(segments, entries, count, radius, **cells):
         clear = (front[ys, xs, 0] < 0) | (front[at[:, 1], at[:, 0], 0] < 0)
         nearer = clear & (d <= radius) & (d < nearest[ys, xs])
         code[ys[nearer], xs[nearer]], nearest[ys[nearer], xs[nearer]] = slot, d[nearer]
+    return code[..., None]
+
+
+def contour_slots(segments, nearness, entries, depth, count, extent, radius, gap, slots, **cells):
+    """`rasterize_contours`."""
+    code = np.full((extent.height, extent.width), -1, np.int64)
+    nearest = np.full((extent.height, extent.width), np.inf)
+    for slot, ys, xs, d, t, at in _beside(segments, entries, count, radius, **cells):
+        n = nearness.reshape(-1, 2)[slot]
+        own, other, limit = depth[ys, xs, 0], depth[at[:, 1], at[:, 0], 0], (1 + gap) / (n[0] + t * (n[1] - n[0]))
+        outer = own > limit
+        nearer = (own > 0) & (other > 0) & (outer | (other > limit)) & (d <= radius) & (d < nearest[ys, xs])
+        code[ys[nearer], xs[nearer]], nearest[ys[nearer], xs[nearer]] = (2 * slot + outer)[nearer], d[nearer]
     return code[..., None]
 
 

@@ -46,6 +46,7 @@ class OutlineFragments(Fragments):
         segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
         dist, point = self._nearest(segment, hard)
         probability = select(place > 0, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
+        self.folds = folds
         self.layers = [Layer(face, hard, dist, probability, point, select(hard, 3, apply("bit_and", shown, 3)))]
 
     def _owners(self, edges: Compact, view: Node) -> Node:

@@ -1,12 +1,15 @@
 """Renderers: how what the cameras see becomes layers of fragments, and how layers compose."""
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
+from ....cache.errors import InputError
 from ...graph.ir import Node
 from ..atlas import Atlas
 from ..topology import Topology
+from .contours import ContourFragments
 from .fragments import Fragments
 from .layers import PeeledFragments
 from .outline import OutlineFragments
@@ -24,13 +27,20 @@ class Renderer(Protocol):
 @dataclass(frozen=True)
 class Outline:
     """One layer; alpha by the distance to the nearest fold or boundary edge beside which there is nothing. r: how far from it the
-    picture is soft, sigma: the width of the fade; both in pixels, sigma r / 7 unless given. Raises InputError."""
+    picture is soft, sigma: the width of the fade; both in pixels, sigma r / 7 unless given.
+
+    contours: colours are soft where one surface hides another, too, and so have the gradient of that (`contours.py`); what is hidden must
+    be deeper by more than `gap` times the distance of the edge that hides it. Raises InputError."""
 
     r: float = 2.0
     sigma: float | None = None
+    contours: bool = False
+    gap: float = 0.02
 
     def __post_init__(self) -> None:
         self.softness  # noqa: B018  (checks the numbers)
+        if not (math.isfinite(self.gap) and self.gap > 0):
+            raise InputError(f"gap is {self.gap!r:.40}; a positive fraction of the distance is needed")
 
     @property
     def softness(self) -> Softness:
@@ -38,6 +48,8 @@ class Outline:
 
     def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> OutlineFragments:
         """See `Renderer.draw`."""
+        if self.contours and faces:
+            return ContourFragments(clip, topology, atlas, self.softness, near, self.gap)
         return OutlineFragments(clip, topology, atlas, self.softness, near, faces)
 
 

@@ -1,0 +1,76 @@
+"""Outline distance with occluding contours: also where one surface hides another the picture is composed of both sides.
+
+An edge is a contour for a covered pixel if what lies on one side of it is deeper than the edge by more than `gap` times its distance
+(docs/conventions.md, "Occluding contours"). Where nothing lies behind, `OutlineFragments` says the same with the background. Silhouettes
+are left as they are; the second layer is drawn in the tiles that have pixels on the far side of a contour.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ...graph.functions import apply, compose, constant_table, dot, lookup, maximum, select, sigmoid, sqrt, stop_gradient, to_int
+from ...graph.ir import Node
+from ..atlas import Atlas
+from ..topology import Topology
+from .fragments import BIN, GUARDED, Layer, around, listed_boxes, near_faces
+from .outline import OutlineFragments
+from .softness import Softness
+
+
+class ContourFragments(OutlineFragments):
+    """Layers: what is in front at the pixel (or beside an outline), and where the pixel is on the far side of a contour the face that the
+    contour's edge shows, at its nearest point. gap: how much deeper what is hidden must be, as a fraction of the edge's distance."""
+
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, gap: float):
+        super().__init__(clip, topology, atlas, softness, near, True)
+        count, r = len(topology.edges), float(softness.r)
+        held, edges = stop_gradient(clip), constant_table(topology.edge_vertices)
+        depth = apply("front_depth", self.front, held, constant_table(topology.sorted_faces), self.position,
+                      face_count=len(topology.faces), vertices=topology.vertex_count, cell_w=atlas.width, cell_h=atlas.height)
+        # Between a pixel and the one across the edge are at most 2 (r + 2) neighbours: one of the steps is at least so high.
+        steps = apply("stepped", depth, width=BIN[0], height=BIN[1], gap=float(gap) / (2.0 * (r + 2.0)))
+        listed = listed_boxes(around(self.folds, self.folds.x < 1e8, r + 1.75, self._view(count), atlas), steps, each=6)
+        segments = self._listed_segments(listed)
+        fixed, exists, view = stop_gradient(segments), listed.entries >= 0, apply("idiv", listed.entries, count)
+        nearness = apply("edge_nearness", held, edges, edge_count=count, vertices=topology.vertex_count, views=atlas.views,
+                         near=float(near))
+        code = apply("rasterize_contours", fixed, lookup(nearness, listed.entries), listed.entries, depth, listed.running,
+                     extent=atlas.extent, radius=r, gap=float(gap), edge_count=count, slots=listed.entries.extent.count, **self.cells)
+        tiles = apply("occupied", code, width=GUARDED[0], height=GUARDED[1])
+        place = apply("inside_tiles", apply("shift_right", code, 1) + 1, tiles, tile=GUARDED)
+        self.beside = near_faces(code, place) > 0  # a contour is within r
+        self.outer = apply("bit_and", self.beside, apply("bit_and", code, 1))
+        boxes = around(fixed, exists, r + 0.05, view, atlas)
+        segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
+        dist, foot = self._nearest(segment, select(self.outer, 0, 1))
+        self.nearer = sigmoid(dist * (1.0 / softness.width))  # how much of the picture is the near side
+        self.beyond = self._beyond(stop_gradient(segment))
+        shown = lookup(self._owners(listed, view), place - 1)
+        face = select(self.outer, apply("shift_right", shown, 2), -1)
+        rim = Layer(face, select(self.outer, 0, 0), dist, select(self.outer, self.nearer, 0.0), foot, apply("bit_and", shown, 3))
+        self.layers = [*self.layers, rim]
+
+    def _beyond(self, segment: Node) -> Node:
+        """The texel of the atlas that lies across the edge: the one that holds the point a pixel beyond its nearest point."""
+        a, b, p = segment.xy, segment.zw, self.position
+        d = b - a
+        t = apply("min", apply("max", dot(d, p - a) / maximum(dot(d, d), 1e-20), 0.0), 1.0)
+        foot = a + d * t
+        across = foot - p
+        half = compose(self.atlas.width / 2, self.atlas.height / 2)
+        at = foot + across / maximum(sqrt(dot(across, across)), 1e-10) + half
+        last = compose(float(self.atlas.width - 1), float(self.atlas.height - 1))
+        inside = to_int(apply("min", apply("max", apply("floor", at), 0.0), last))
+        columns = self.atlas.columns
+        corner = compose(apply("imod", self.view, columns) * self.atlas.width, apply("idiv", self.view, columns) * self.atlas.height)
+        return inside + corner
+
+    def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
+        """On the far side of a contour the edge's colour over the pixel's own, on the near side the pixel's own over that of the pixel
+        across; and all of it over the background as equation 5 says. What lies across has no gradient of its own."""
+        own, rim = shaded
+        across = stop_gradient(apply("fetch", apply("broadcast", own, extent=self.atlas.extent), self.beyond))
+        front, behind = select(self.outer, rim, own), select(self.outer, own, across)
+        both = select(self.beside, front * self.nearer + behind * (1.0 - self.nearer), own)
+        alpha = self.silhouette()
+        return both * alpha + background * (1.0 - alpha)

@@ -1,0 +1,137 @@
+"""Occluding contours: the gradient of a colour picture where one surface hides another, against pictures of 256 samples a pixel."""
+import numpy as np
+import pytest
+
+from dressi_edge import runtime
+from dressi_edge.cache.errors import InputError
+from dressi_edge.compiler.graph.functions import constant_table
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.scene import HardSoftRas, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
+
+pytest_plugins = ["gpu"]
+SAMPLES = 16  # a pixel's side
+
+
+def supersampled(parts, camera):
+    """Mean colour of each pixel: parts are (positions, faces, colour), drawn sharply at SAMPLES^2 times the pixels, in float64."""
+    n, k = camera.width, SAMPLES
+    depth, color = np.full((n * k, n * k), np.inf), np.zeros((n * k, n * k, 3))
+    for positions, faces, paint in parts:
+        h = (camera.world_to_camera @ np.column_stack([positions, np.ones(len(positions))]).T).T
+        x, y, near = (camera.cx - camera.fx * h[:, 0] / h[:, 2]) * k, (camera.cy + camera.fy * h[:, 1] / h[:, 2]) * k, -1 / h[:, 2]
+        for f in faces:
+            (x0, x1, x2), (y0, y1, y2), w = x[f], y[f], near[f]
+            area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+            low, high = np.floor([min(y[f]), min(x[f])]).astype(int), np.ceil([max(y[f]), max(x[f])]).astype(int)
+            if area >= 0 or (high <= low).any():
+                continue
+            at = slice(max(low[0], 0), high[0]), slice(max(low[1], 0), high[1])
+            py, px = np.mgrid[at] + 0.5
+            b0 = ((x1 - px) * (y2 - py) - (x2 - px) * (y1 - py)) / area
+            b1 = ((x2 - px) * (y0 - py) - (x0 - px) * (y2 - py)) / area
+            away = 1 / (b0 * w[0] + b1 * w[1] + (1 - b0 - b1) * w[2])
+            nearer = (np.minimum(b0, b1) >= 0) & (b0 + b1 <= 1) & (away < depth[at])
+            depth[at][nearer], color[at][nearer] = away[nearer], paint
+    return color.reshape(n, k, n, k, 3).mean((1, 3))
+
+
+def balls(size, renderer, shift=(0.05, 0.02, 1.3), radius=0.3):
+    """A red ball, which moves, before a white one; a picture and its transpose."""
+    red, white = icosphere(3, radius), icosphere(3, 0.9)
+    s = Scene([look_at((0, 0, 4), (0, 0, 0), (0, 1, 0), 40, size, size)])
+    place = s.parameter("place", np.zeros(3))
+    s.add(red, rigid(red.positions + shift, np.zeros(3), place), Unlit((1.0, 0.0, 0.0)))
+    s.add(white, material=Unlit(1.0))
+    f = s.frame(renderer)
+    s.vjp("v", ["place"], color=f.color, alpha=f.alpha)
+    return s, [(red.positions + shift, red.faces, (1, 0, 0)), (white.positions, white.faces, (1, 1, 1))]
+
+
+def fields(size):
+    """Smooth gradients of a loss by a picture."""
+    y, x = np.mgrid[:size, :size] / size
+    return [np.stack([np.sin(3 * x + 1 + k) + y, np.cos(4 * y + k) + x, np.sin(6 * x * y + k)], -1) for k in range(4)]
+
+
+def truth(parts, camera, size, h=0.02):
+    """The derivative of the supersampled picture by a shift of the first part, against each field: (fields, 3)."""
+    slopes = []
+    for axis in np.eye(3):
+        moved = [supersampled([(parts[0][0] + s * h * axis, *parts[0][1:]), *parts[1:]], camera) for s in (1, -1)]
+        slopes.append((moved[0] - moved[1]) / (2 * h))
+    return np.array([[(slope * field).sum() for slope in slopes] for field in fields(size)])
+
+
+@pytest.mark.parametrize("case, size, before, after", [((0.05, 0.02, 1.3), 64, 0.99, 0.04), ((0.15, 0.05, 1.3), 96, 0.95, 0.2)],
+                         ids=["inside the other", "contours that cross"])
+def test_a_ball_before_another_moves_as_its_picture_does(gpu, case, size, before, after):
+    """Translation in all directions, relative L2 over four fields; without contours what lies inside the silhouette has none."""
+    radius = 0.3 if size == 64 else 0.5
+    errors = []
+    for renderer in (Outline(), Outline(contours=True)):
+        scene, parts = balls(size, renderer, case, radius)
+        if not errors:
+            exact = truth(parts, scene.cameras[0], size)
+        with runtime.load(gpu.compile(scene.program), gpu.device) as s:
+            found = np.array([s.backward("v", color=field[None])["place"] for field in fields(size)])
+        errors.append(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+        gpu.silent()
+    assert errors[0] > before and errors[1] < after, errors
+
+
+def test_the_picture_is_nearer_to_the_supersampled_one(gpu):
+    """Composed of both sides at contours as at outlines, and the silhouette is the same to the bit."""
+    found = {}
+    for contours in (False, True):
+        scene, parts = balls(64, Outline(r=1.0, contours=contours))
+        with runtime.load(gpu.compile(scene.program), gpu.device) as s:
+            found[contours] = s.forward("v")
+    gpu.silent()
+    exact = supersampled(parts, scene.cameras[0])
+    np.testing.assert_array_equal(found[True]["alpha"], found[False]["alpha"])
+    inside = found[True]["alpha"][0] == 1  # away from the outline, which both draw alike
+    error = [float(np.square(found[c]["color"][0] - exact)[inside].mean()) for c in (False, True)]
+    assert error[1] < error[0] / 3
+
+
+def test_a_convex_thing_is_drawn_as_without(gpu):
+    """Nothing hides anything: the same picture, whatever the slope of the surface at its limb."""
+    ball, found = icosphere(3, 0.8), []
+    for contours in (False, True):
+        s = Scene(orbit(2, [15, -10], 3.0, 40, (90, 66)))
+        s.add(ball, material=Unlit(Vertex(constant_table(0.5 + 0.4 * np.sin(5 * ball.positions)))))
+        s.output("look", color=s.frame(Outline(contours=contours)).color)
+        with runtime.load(gpu.compile(s.program), gpu.device) as session:
+            found.append(session.get("look.color"))
+    gpu.silent()
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
+
+
+def test_the_device_gives_the_gradients_of_the_reference(gpu):
+    """By places and by colours of both, in two views."""
+    front, back = icosphere(1, 0.35), icosphere(2, 0.8)
+    s = Scene(orbit(2, [10, -5], 3.5, 36, (40, 32)), (0.2, 0.1, 0.0))
+    place = s.parameter("place", np.array([0.1, 0.05, 1.0]))
+    colors = [s.parameter(f"colors{k}", 0.5 + 0.4 * np.sin(5 * m.positions + k)) for k, m in enumerate((front, back))]
+    s.add(front, constant_table(front.positions) + place, Unlit(Vertex(colors[0])))
+    s.add(back, material=Unlit(Vertex(colors[1])))
+    s.vjp("v", list(s.parameters), color=s.frame(Outline(contours=True)).color)
+    given = np.random.default_rng(2).normal(size=(2, 32, 40, 3))
+    with ReferenceSession(s.program) as exact, runtime.load(gpu.compile(s.program, "vulkan_min"), gpu.device) as session:
+        np.testing.assert_allclose(session.forward("v")["color"], exact.forward("v")["color"], atol=2e-5)
+        one, two = exact.backward("v", color=given), session.backward("v", color=given)
+        for name in s.parameters:
+            np.testing.assert_allclose(two[name], one[name], atol=1e-3 * np.abs(one[name]).max())
+    gpu.silent()
+
+
+@pytest.mark.parametrize("gap", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_gap_is_a_positive_number(gap):
+    with pytest.raises(InputError, match="gap is .*a positive fraction of the distance"):
+        Outline(contours=True, gap=gap)
+
+
+def test_layers_have_contours_of_coverage_alone():
+    """What the paper's renderer has not is not offered."""
+    with pytest.raises(TypeError):
+        HardSoftRas(contours=True)
