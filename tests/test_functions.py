@@ -2,6 +2,7 @@
 of a value that is not there yet."""
 
 import inspect
+import itertools
 import operator
 
 import numpy as np
@@ -199,6 +200,30 @@ def test_bad_input_is_one_sentence(name):
     with pytest.raises(GraphError) as raised:
         build(leaf())
     assert words in str(raised.value) and "\n" not in str(raised.value)
+
+
+ANYTHING = [None, "a", 1, 1.5, -3, [1, 2], np.ones((2, 3)), np.ones(3), (1, 2), {}, float("nan"), True]
+
+
+@pytest.mark.parametrize("name", sorted({*F.__all__} - {"op", "apply"}))
+def test_whatever_a_function_is_given_it_answers_or_says_what_is_wrong(name):
+    """No bare error of Python or NumPy comes out, but for the wrong number of arguments."""
+    given = [leaf(), leaf("k", "int"), *ANYTHING]
+    for count in (1, 2, 3):
+        for arguments in itertools.product(given, repeat=count) if count < 3 else zip(given, given[3:] + given[:3], given[7:] + given[:7]):
+            try:
+                getattr(F, name)(*arguments)
+            except GraphError as e:
+                assert str(e)
+            except TypeError as e:
+                assert "argument" in str(e) and name in str(e), f"{name}{arguments}"
+
+
+@pytest.mark.parametrize("loss, wrt", [(None, [1.0]), (1.0, None), (F.constant(np.ones((1, 1, 1))), [None]),
+                                       (F.constant(np.ones((1, 1, 1))), leaf())])
+def test_gradients_are_of_nodes_by_nodes(loss, wrt):
+    with pytest.raises(GraphError, match="a loss and a sequence of nodes"):
+        gradients(loss, wrt)
 
 
 def test_the_zeros_of_both_signs_are_two_literals():

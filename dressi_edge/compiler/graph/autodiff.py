@@ -34,6 +34,8 @@ def gradients(loss: Node, wrt: Sequence[Node]) -> list[Node]:
 
     The loss is a float of extent 1x1. Raises GraphError if a path from x to the loss passes an op that has no gradient.
     """
+    if not isinstance(loss, Node) or isinstance(wrt, Node) or wrt is None or any(not isinstance(x, Node) for x in wrt):
+        raise GraphError("gradients: a loss and a sequence of nodes to differentiate by are needed")
     if loss.vtype != "float" or loss.extent != UNIT:
         raise GraphError(f"the loss {loss!r} is not a 1x1 float; reduce it with total() or mean()")
     order, asked = topological([loss]), set(wrt)

@@ -111,6 +111,7 @@ def normalize(a, epsilon: float = 1e-20) -> Node:
 
 def mix(a, b, t) -> Node:
     """a + (b - a) t."""
+    a, b = as_node(a), as_node(b)
     return a + (b - a) * t
 
 
@@ -141,4 +142,5 @@ def to_int(a) -> Node:
 
 def channels(a: Node) -> list[Node]:
     """The scalars of a vector."""
+    a = as_node(a)
     return [a] if a.channels == 1 else [apply("swizzle", a, channels=c) for c in "xyzw"[:a.channels]]

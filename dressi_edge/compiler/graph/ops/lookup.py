@@ -12,19 +12,28 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import UNIT, Data, Extent, Node, table, vector_type
-from ..optable import Loop, apply, negative, op, product
+from ..optable import Loop, apply, as_node, negative, op, product
 
 MAX_ROW = 256  # longer rows are summed in two levels, to keep every lane busy
 
 
+def numbers(what: str, array, kinds: str = "iubf") -> np.ndarray:
+    """An array of numbers, or of integers alone (kinds "iub"). Raises GraphError."""
+    try:
+        array = np.asarray(array)
+    except ValueError:
+        raise GraphError(f"{what} of rows of unequal length; an array is needed") from None
+    if array.dtype.kind not in kinds and array.size:
+        raise GraphError(f"{what} of type {array.dtype}; {'numbers' if 'f' in kinds else 'integers'} are needed")
+    return array
+
+
 def constant(array: np.ndarray, extent: Extent | None = None) -> Node:
     """A constant image from (height, width, channels), or with `table=True` extent from (n, channels) or (n,)."""
-    array = np.asarray(array)
+    array = numbers("constant", array)
     kind = np.int32 if array.dtype.kind in "iub" else np.float64
     if array.ndim != 3:
         raise GraphError(f"constant of shape {array.shape}; (height, width, channels) is allowed, or use constant_table")
-    if array.dtype.kind not in "iubf":
-        raise GraphError(f"constant of type {array.dtype}; numbers are needed")
     if kind is np.int32 and array.size and not -2 ** 31 <= int(array.min()) <= int(array.max()) < 2 ** 31:
         raise GraphError("constant with values beyond the range of int32")
     extent = extent or Extent(array.shape[1], array.shape[0], array.shape[0] * array.shape[1])
@@ -33,9 +42,11 @@ def constant(array: np.ndarray, extent: Extent | None = None) -> Node:
 
 def to_table(array: np.ndarray, fill: float = 0) -> np.ndarray:
     """(n, channels) laid out as the image of `table(n)`, padded with `fill`."""
-    array = np.asarray(array)
+    array = numbers("a table", array)
     if array.ndim == 0 or not array.size:
         raise GraphError(f"a table of shape {array.shape}; (n, channels) or (n,), with at least one entry, is needed")
+    if not isinstance(fill, int | float | np.number):
+        raise GraphError(f"a table is filled up with {type(fill).__name__}; a number is needed")
     array = array.reshape(len(array), -1)
     extent = table(len(array))
     out = np.full((extent.width * extent.height, array.shape[1]), fill, array.dtype)
@@ -74,7 +85,10 @@ def gather_sum(x: Node, rows: np.ndarray, cols: np.ndarray, weights: np.ndarray 
     rows (n, 2) int with rows laid end to end, cols (m,) int entries of x, weights (m,) or None for ones. Result: table of n.
     slots: x is a list, of which cols[k] is at slots[cols[k]]; -1 if it is not in it. Then there are no weights, and no gradient.
     """
-    rows, cols = np.asarray(rows, np.int64), np.asarray(cols, np.int64)
+    x, rows, cols = as_node(x), numbers("gather_sum: rows", rows, "iub"), numbers("gather_sum: columns", cols, "iub")
+    if rows.ndim != 2 or rows.shape[1] != 2 or cols.ndim != 1:
+        raise GraphError(f"gather_sum: rows {rows.shape} and columns {cols.shape}; (n, 2) and (m,) are needed")
+    rows, cols = rows.astype(np.int64), cols.astype(np.int64)
     lengths = rows[:, 1] - rows[:, 0]
     if len(cols) != lengths.sum() or (len(rows) and not np.array_equal(rows[:, 0], np.cumsum(lengths) - lengths)):
         raise GraphError("gather_sum: rows must lie end to end and cover every column")
@@ -176,8 +190,9 @@ def lookup(entries: Node, index: Node | np.ndarray, box: Node | None = None) -> 
     A constant index (array of n) has its exact transpose at compile time. A computed index needs `box`, for each entry the half-open
     pixel box (x0, y0, x1, y1) that holds every pixel naming it, or no gradient is asked for.
     """
+    entries = as_node(entries)
     if not isinstance(index, Node):
-        index = np.asarray(index).reshape(-1)
+        index = numbers("lookup: an index", index, "iub").reshape(-1)
         if len(index) and not -1 <= index.min() <= index.max() < entries.extent.count:
             bad = int(np.argmax((index >= entries.extent.count) | (index < -1)))
             raise GraphError(f"lookup: index {index[bad]} at {bad}; -1 to {entries.extent.count - 1} are allowed")

@@ -7,7 +7,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import UNIT, Extent, Node, image
-from ..optable import Loop, apply, at, flag, op
+from ..optable import Loop, apply, as_node, at, flag, op
 
 BLOCK = 32
 
@@ -25,11 +25,13 @@ op("sum", "a", infer=lambda name, inputs, attrs: (inputs[0].vtype, UNIT), stage=
 
 def total(a: Node) -> Node:
     """Sum over the image."""
+    a = as_node(a)
     return a if a.extent == UNIT else apply("sum", a, count=a.extent.count)
 
 
 def mean(a: Node) -> Node:
     """Mean over the image's texels."""
+    a = as_node(a)
     return total(a) * (1.0 / a.extent.count)
 
 
@@ -75,6 +77,7 @@ op("block_max", "a", infer=_blocks, reads="texel", ref=_block_max_ref, cost=500,
 
 def largest(a: Node) -> Node:
     """Of each channel the largest number of an image's texels, padding left out; of extent 1x1, without gradient."""
+    a = as_node(a)
     count = a.extent.count
     while a.extent != UNIT:
         e = a.extent

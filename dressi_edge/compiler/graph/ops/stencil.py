@@ -61,7 +61,11 @@ def _along(x: np.ndarray, axis: int, matrix: np.ndarray, cell_w: int, cell_h: in
 
 
 def _cell_of(x: Node, cell: tuple[int, int] | None) -> dict:
-    w, h = cell or (x.extent.width, x.extent.height)
+    if cell is None:
+        cell = x.extent.width, x.extent.height
+    if not isinstance(cell, tuple | list) or len(cell) != 2:
+        raise GraphError(f"cells of {cell!r:.60}; width and height are needed")
+    w, h = cell
     return {"cell_w": w, "cell_h": h}
 
 
@@ -221,6 +225,8 @@ def _pool_ref(x, mean, cell_w, cell_h):
 
 def _unpool_infer(name, inputs, attrs):
     w, h = attrs["cell_w"], attrs["cell_h"]
+    if any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in (w, h)):
+        raise GraphError(f"{name}: cells of {w!r} x {h!r}; whole numbers from 1 on are needed")
     e = _cells(name, inputs, {"cell_w": _half(w), "cell_h": _half(h)})
     return inputs[0].vtype, image(e.width // _half(w) * w, e.height // _half(h) * h)
 
@@ -255,4 +261,6 @@ def downsample(x: Node, cell: tuple[int, int] | None = None) -> Node:
 
 def upsample(x: Node, cell: tuple[int, int]) -> Node:
     """Each texel of `cell` = (width, height) gets the value of that of its half: what `downsample` halves, as large as before."""
-    return apply("unpool", _node("upsample", x), mean=0, cell_w=cell[0], cell_h=cell[1])
+    if cell is None:
+        raise GraphError("upsample: the cell, (width, height) of what was halved, is needed: a half does not say whether it was odd")
+    return apply("unpool", _node("upsample", x), mean=0, **_cell_of(x, cell))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import Extent, Node, image, table
-from ..optable import apply, op
+from ..optable import apply, as_node, op
 from .join import join, portion
 
 
@@ -34,16 +34,20 @@ op("reshape", "x", infer=_reshape_infer, reads="texel", cost=2, ref=_reshape_ref
 
 def reshape(x: Node, extent: Extent) -> Node:
     """The same entries, row by row, in another extent of as many."""
+    x = as_node(x)
+    if not isinstance(extent, Extent):
+        raise GraphError(f"reshape: an extent is needed, got {type(extent).__name__}; to_image() and to_table() make them")
     return x if x.extent == extent else apply("reshape", x, extent=extent)
 
 
 def to_image(x: Node, width: int, height: int) -> Node:
     """An image of the entries of a table, row by row."""
-    return reshape(x, image(width, height))
+    return reshape(x, image(_whole("to_image", "width", width, 1), _whole("to_image", "height", height, 1)))
 
 
 def to_table(x: Node) -> Node:
     """The table of an image's texels, row by row."""
+    x = as_node(x)
     return reshape(x, table(x.extent.count))
 
 
@@ -69,7 +73,7 @@ def _whole(name: str, key: str, value, least: int) -> int:
 
 def slice_table(x: Node, start: int, count: int) -> Node:
     """Entries start to start + count - 1, as a table of `count`; gradient zero for the others. Raises GraphError beyond the end."""
-    start, count = _whole("slice_table", "start", start, 0), _whole("slice_table", "count", count, 1)
+    x, start, count = as_node(x), _whole("slice_table", "start", start, 0), _whole("slice_table", "count", count, 1)
     if start + count > x.extent.count:
         raise GraphError(f"slice_table: entries {start} to {start + count - 1} of {x!r}, which has {x.extent.count}")
     return portion(to_table(x), start, count)
@@ -77,6 +81,6 @@ def slice_table(x: Node, start: int, count: int) -> Node:
 
 def pad(x: Node, start: int, count: int) -> Node:
     """A table of `count` entries: x's from entry `start` on, zeros before and after. Raises GraphError where they do not fit."""
-    start = _whole("pad", "start", start, 0)
+    x, start = as_node(x), _whole("pad", "start", start, 0)
     count = _whole("pad", "count", count, start + x.extent.count)
     return apply("padded", to_table(x), rows=1, start=start, count=x.extent.count, stride=count)
