@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import warnings
 
 import fuzz_text
@@ -119,6 +120,13 @@ def test_files_that_cannot_be_are_no_files(tmp_path):
     (tmp_path / "big").write_bytes(b"12345")
     with pytest.raises(InputError, match="larger than the 4 bytes"):
         read_bytes(tmp_path / "big", "file", 4)
+
+
+def test_pipes_and_devices_are_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "job.toml")
+    for path in (tmp_path / "job.toml", "/dev/zero", tmp_path):
+        with pytest.raises(InputError, match="file .* cannot be read: .*it is no regular file; check the path"):
+            read_bytes(path, "file", 4)
 
 
 def test_damaged_texts_are_refused_in_one_line():

@@ -4,10 +4,12 @@ Bounds: how deep it nests, whole numbers of 64 bits, text that can be printed an
 """
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
 from ...cache.errors import InputError
+from ...cache.files import read_regular
 
 MAX_DEPTH = 32
 MAX_BYTES = 1 << 28
@@ -38,15 +40,13 @@ def is_folder(path: Path) -> bool:
 
 
 def read_bytes(path: Path, what: str, most: int = MAX_BYTES) -> bytes:
-    """All of a file of at most `most` bytes. Raises InputError."""
+    """All of a regular file of at most `most` bytes; pipes and devices are not waited for. Raises InputError."""
     try:
-        with open(path, "rb") as file:
-            data = file.read(most + 1)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{what} {shown(path)} cannot be read: {getattr(error, 'strerror', None) or error}; check the path") from None
-    if len(data) > most:
-        raise InputError(f"{what} {shown(path)} is larger than the {most} bytes that are allowed; give a smaller file")
-    return data
+        return read_regular(path, most)
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise InputError(f"{what} {shown(path)} is larger than the {most} bytes that are allowed; give a smaller file") from None
+        raise InputError(f"{what} {shown(path)} cannot be read: {error.strerror or error}; check the path") from None
 
 
 def parse_json(data: bytes, where: str | Path) -> object:
