@@ -339,6 +339,8 @@ def test_a_rig_loses_no_camera(folder):
         (folder / f"00{k}.png").rename(folder / f"cam{k}" / "0001.png")
     views = load_views(edited(folder, lambda d: [f.update(file_path=f"cam{k}/0001.png") for k, f in enumerate(d["frames"])]))
     assert views.names == ("cam0/0001", "cam1/0001") and np.allclose(views.images[1], 0.8)
+    with pytest.raises(InputError, match="no image in .*; its folders have 2: give a list of files"):
+        load_images(folder)
 
 
 @pytest.mark.parametrize(("size", "message"), [

@@ -46,7 +46,9 @@ def load_images(source: str | Path | Sequence[str | Path], fits: Callable[[int, 
     else:
         files = [Path(file) for file in source]
     if not files:
-        raise InputError(f"no image in {shown(source)}; give at least one of {', '.join(IMAGE_SUFFIXES)}")
+        below = sum(file.suffix.lower() in IMAGE_SUFFIXES for file in Path(source).glob("*/*")) if isinstance(source, str | Path) else 0
+        hint = f"its folders have {below}: give a list of files" if below else f"give at least one of {', '.join(IMAGE_SUFFIXES)}"
+        raise InputError(f"no image in {shown(source)}; {hint}")
     sizes = [picture_size(file) for file in files]
     for file, (w, h) in zip(files, sizes):
         if (w, h) != sizes[0]:
