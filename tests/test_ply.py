@@ -167,6 +167,7 @@ HEAD = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty floa
     (HEAD + "0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", r"faces\[0\] is \[0, 1, 9\], but there are 3 vertices"),
     (HEAD.replace("float z", "float w") + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "no element vertex with x, y, z"),
     (HEAD.replace("vertex 3", "vertex 999999999999"), "numbers end"),
+    (HEAD.replace("element face", f"element edge {10 ** 20}\nelement face") + "0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", r"faces\[0\] is"),
     (HEAD.replace("ascii", "binary_little_endian").replace("vertex 3", "vertex 999999999999"), "truncated"),
 ])
 def test_mistakes_are_named(tmp_path, text, message):
@@ -175,6 +176,16 @@ def test_mistakes_are_named(tmp_path, text, message):
         warnings.simplefilter("ignore")
         load_mesh(tmp_path / "a.ply")
     assert "a.ply" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_numbers_that_are_none_are_named_and_nothing_else_is_said(tmp_path):
+    """A signalling NaN: NumPy would warn of it."""
+    path = ply(tmp_path / "a.ply", xyz(), [[0, 1, 2]], "binary_little_endian")
+    data = path.read_bytes()
+    path.write_bytes(data.replace(struct.pack("<3f", 1, 0, 0), b"\1\0\x80\x7f" + bytes(8)))
+    with warnings.catch_warnings(), pytest.raises(InputError, match=r"positions\[1\] has the value nan"):
+        warnings.simplefilter("error")
+        load_mesh(path)
 
 
 # ---- STL and OFF

@@ -68,7 +68,8 @@ def load_pieces(path: Path) -> Pieces:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"mesh file {path} has {path.stat().st_size} bytes; at most {MAX_BYTES} are allowed; simplify it")
-        pieces = reader(path, path.read_bytes())
+        with np.errstate(all="ignore"):  # of NaN and Inf in the file, which are named below
+            pieces = reader(path, path.read_bytes())
     except OSError as error:
         raise InputError(f"mesh file {path} cannot be read: {error.strerror or error}; check it") from None
     except MemoryError:

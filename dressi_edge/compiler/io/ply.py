@@ -52,7 +52,9 @@ def read_ply(path: Path, data: bytes) -> Pieces:
     words = None if order else _Words(data[body:])
     needed = max((k for k, (name, _, _) in enumerate(elements) if name in MESH), default=-1)
     for name, count, properties in elements[:needed + 1]:
-        if order:
+        if not properties:
+            tables[name] = {}
+        elif order:
             tables[name], at = _binary(path, data, at, name, count, properties, order)
         else:
             tables[name] = _text(path, words, name, count, properties)
