@@ -42,7 +42,7 @@ PACKAGES = {
 class Driver:
     """One device. packages: a key of PACKAGES. icd: the driver's JSON file. shim: the kernel that does nothing, "" where the driver draws
     itself. group: "quick" (.ci/run), "rest" (make test-drivers), "arm" (an emulated processor: minutes a bundle). profile: what a bundle
-    for it is compiled for."""
+    for it is compiled for. spills: that a shader of such a bundle may have, where to cut it would cost more."""
 
     packages: str
     icd: str
@@ -50,6 +50,7 @@ class Driver:
     environment: dict[str, str] = field(default_factory=dict, hash=False)
     group: str = "rest"
     profile: str = "vulkan_min"
+    spills: int = 0
 
     @property
     def executes(self) -> bool:
@@ -86,7 +87,7 @@ DRIVERS = {
     **{f"adreno{number}": _adreno(number, profile) for number, profile in (
         (618, "vulkan_min"), (630, "adreno_630"), (660, "vulkan_min"), (740, "adreno_740_turnip"), (750, "adreno_740_turnip"),
         (830, "adreno_830"))},
-    "m1": Driver("unstable", "asahi", "asahi", profile="apple_m1_honeykrisp"),
+    "m1": Driver("unstable", "asahi", "asahi", profile="apple_m1_honeykrisp", spills=14),
     **{f"nvidia-{chip:x}": _nvidia(chip, profile) for chip, profile in (
         (0x120, "vulkan_min"), (0x164, "nvk_turing"), (0x174, "nvk_turing"), (0x194, "nvk_ada"))},
     "mali-g76": _mali("7211", "mali_g76_panvk"),
