@@ -142,7 +142,8 @@ def run(options) -> int:
                                  capture_output=True, text=True, env=own)
         out["profile"] = json.loads(capture.stdout) if capture.returncode == 0 else capture.stderr.strip()
         program = HERE / "replay.py" if (HERE / "replay.py").exists() else ROOT / "tests/drivers/replay.py"
-        replay = subprocess.run([sys.executable, str(program), str(ROOT), str(ROOT / "tests/vectors")], capture_output=True, text=True, env=own)
+        replay = subprocess.run([sys.executable, str(program), str(ROOT), str(ROOT / "tests/vectors")],
+                                capture_output=True, text=True, env=own)
         records = [json.loads(line) for line in replay.stdout.splitlines() if line.startswith("{")]
         out["vectors"] = [{k: x for k, x in r.items() if k != "statistics"} for r in records if "name" in r]
         out["vectors_failed"] = replay.stderr.strip()[-500:] if replay.returncode else ""

@@ -26,10 +26,13 @@ elif [ "$kind" = run ]; then
         "$python" -m pip install -q --no-index --find-links "$here/wheels" --target "$here/site" numpy msgpack
     fi
     export PYTHONPATH="$here/site${PYTHONPATH:+:$PYTHONPATH}"
-    if ! "$python" -c 'import ctypes; ctypes.CDLL("libvulkan.so.1")' 2>/dev/null || [[ " $* " == *" --validation "* ]]; then
+    if [ ! -d "$here/loader" ] && ls "$here"/debs/*.deb >/dev/null 2>&1; then
         for package in "$here"/debs/*.deb; do dpkg-deb -x "$package" "$here/loader"; done
-        export LD_LIBRARY_PATH="$(dirname "$(find "$here/loader" -name libvulkan.so.1 | head -1)")${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
+    fi
+    if [ -d "$here/loader" ]; then
+        libraries="$(dirname "$(find "$here/loader" -name libVkLayer_khronos_validation.so | head -1)")"
         export VK_LAYER_PATH="$here/loader/usr/share/vulkan/explicit_layer.d"
+        export LD_LIBRARY_PATH="${LD_LIBRARY_PATH:+$LD_LIBRARY_PATH:}$libraries"
     fi
     "$python" "$here/gpu.py" run "$@"
 else

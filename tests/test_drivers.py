@@ -2,7 +2,8 @@
 
 `make test-drivers` runs them all, `DRIVERS=` chooses; what cannot be fetched is left out with a word. Drivers that draw must come to
 the stored results, within each file's tolerance; drivers of GPUs that are not there must compile, record and submit, and spill no
-register where a bundle was made for their profile. None may make the validation layer say anything.
+register where a bundle was made for their profile. None may make the validation layer say anything. Where all that draw are off after
+a change to the compiler that changes numbers, `python -m tests.drivers.whole`.
 """
 
 import os
@@ -20,15 +21,16 @@ CHOSEN = catalog.chosen(os.environ.get("DRIVERS") or "all")
 
 @pytest.fixture(scope="session")
 def bundles(tmp_path_factory):
-    """bundles(profile name): a folder of the whole problems, compiled for it; profiles that allow the same share one."""
+    """bundles(profile name): folders of the vectors and of the whole problems, compiled for it; profiles that allow the same share them."""
     made = {}
 
     def get(name):
         profile = Profile.load(name)
         if profile.digest not in made:
-            made[profile.digest] = tmp_path_factory.mktemp(name)
+            made[profile.digest] = [tmp_path_factory.mktemp(f"{name}.{kind}") for kind in ("vectors", "whole")]
+            whole.vectors(profile, made[profile.digest][0])
             for problem in whole.CASES:
-                whole.write(problem, profile, made[profile.digest])
+                whole.write(problem, profile, made[profile.digest][1])
         return made[profile.digest]
 
     return get
@@ -41,7 +43,7 @@ def test_every_bundle_on(name, bundles):
     except fetch.Missing as why:
         pytest.skip(f"{name} was left out: {why}")
     driver = catalog.DRIVERS[name]
-    outcome = session.run(name, packages, [FOLDER, bundles(driver.profile)])
+    outcome = session.run(name, packages, bundles(driver.profile))
     spilling = [f"{r['name']}: {place} spills {told['spills']} registers (it has {told.get('registers', '?')})"
                 for r in outcome.results for place, _, told, _ in r["statistics"] if told.get("spills", 0) > driver.spills]
     assert [*outcome.faults, *spilling] == [], f"{name}: {outcome.device}"

@@ -20,26 +20,25 @@ from . import catalog, fetch, session, whole
 
 RESULTS = session.ROOT / "benchmarks" / "results" / "drivers.json"
 DOCS = session.ROOT / "docs" / "drivers.md"
-VECTORS = session.ROOT / "tests" / "vectors"
 AGAINST = "limit8"
 MARKS = "<!-- drivers -->\n", "<!-- /drivers -->\n"
 PROBLEMS = [name for name in whole.CASES if name != "behind"]
 
 
-def measure(name: str, bundles: dict[str, Path]) -> dict:
+def measure(name: str, bundles: dict[str, list[Path]]) -> dict:
     """What a driver did with the bundles of its own profile and of AGAINST."""
     driver, packages = catalog.DRIVERS[name], fetch.ready(name)
 
-    def folder(profile: str) -> Path:
-        digest = Profile.load(profile).digest
-        if digest not in bundles:
-            bundles[digest] = Path(tempfile.mkdtemp(prefix="dressi_drivers_"))
+    def folders(profile: Profile) -> list[Path]:
+        if profile.digest not in bundles:
+            bundles[profile.digest] = [Path(tempfile.mkdtemp(prefix="dressi_drivers_")) for _ in range(2)]
+            whole.vectors(profile, bundles[profile.digest][0])
             for problem in whole.CASES:
-                whole.write(problem, Profile.load(profile), bundles[digest])
-        return bundles[digest]
+                whole.write(problem, profile, bundles[profile.digest][1])
+        return bundles[profile.digest]
 
-    own = session.run(name, packages, [VECTORS, folder(driver.profile)])
-    other = session.run(name, packages, [folder(AGAINST)])
+    own = session.run(name, packages, folders(Profile.load(driver.profile)))
+    other = session.run(name, packages, folders(Profile.load(AGAINST))[1:])
     return {"device": own.device.get("device", "?"), "driver": own.device.get("driver", "?"), "profile": driver.profile,
             "bundles": len(own.results), "faults": list(own.faults), "executes": driver.executes,
             "deviation": max((r["deviation"] for r in own.results), default=None) if driver.executes else None,
@@ -94,7 +93,7 @@ def _cell(own: dict | None, other: dict | None) -> str:
 
 def main() -> int:
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    bundles: dict[str, Path] = {}
+    bundles: dict[str, list[Path]] = {}
     for name in catalog.chosen(" ".join(sys.argv[1:]) or "all"):
         try:
             results[name] = measure(name, bundles)

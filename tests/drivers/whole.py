@@ -18,8 +18,9 @@ import numpy as np
 from corpus import project
 
 from dressi_edge import runtime
+from dressi_edge.cache import bundle
 from dressi_edge.cache.layout import Layout
-from dressi_edge.cache.profile import Profile
+from dressi_edge.cache.profile import Profile, misfit
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.meshes import Mesh
@@ -118,6 +119,15 @@ def write(name: str, profile: Profile | str, folder: Path) -> None:
     compile_program(getattr(made, "program", made), profile, folder / f"{name}.dressi")
     if (FOLDER / f"{name}.json").exists():
         shutil.copy(FOLDER / f"{name}.json", folder)
+
+
+def vectors(profile: Profile, folder: Path) -> None:
+    """The test vectors in that folder; those that ask more than this profile allows are compiled for it."""
+    for path in make_vectors.FOLDER.iterdir():
+        shutil.copy(path, folder)
+    for path in folder.glob("*.dressi"):
+        if all(misfit(x.description["needs"]["limits"], profile) for x in bundle.read(path).variants):
+            compile_program(make_vectors.VECTORS[path.stem]()[0], profile, path, **make_vectors.OPTIONS.get(path.stem, {}))
 
 
 def main() -> None:
