@@ -179,12 +179,12 @@ static bool leaves(const Flow *f, int b, int x) {
     if (x == f->blocks[outer->header].merge && outer->kind != CONTINUE) {
         if (outer->kind == LOOP && left == 2 && continues) {
             if (!leads_to(f, b, outer->header)) unstructured(f, b, "it leaves a loop from where it goes on, and does not go on");
-        } else if (loops || continues || (switches && outer->kind != LOOP) || (left > 1 && outer->kind == SELECT)) {
+        } else if (loops || continues || switches || (left > 1 && outer->kind == SELECT)) {
             unstructured(f, b, "it leaves several constructs at once");
         }
         return true;
     }
-    if (goes_on && !loops && !continues && (outer->kind == SELECT || outer->kind == SWITCH)) return true;
+    if (goes_on && !loops && !continues && !switches && outer->kind == SELECT) return true;
     unstructured(f, b, "it leaves a construct to where that does not end");
 }
 

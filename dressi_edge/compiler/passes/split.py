@@ -52,7 +52,8 @@ def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list
             taken.append(pending.pop(0))
         if not taken and cones.keeps([pending[0]]):  # crowded, and no output less to give
             taken = cones.relief(pending[0])
-            pending = [n for n in pending if n not in taken]
+            given = set(taken)  # which tells nodes apart by what they are; a list would ask whether they are equal
+            pending = [n for n in pending if n not in given]
         if taken:
             result.append(substage(cones.nodes(taken), taken))
             cones.store(taken)
