@@ -48,7 +48,7 @@ class Player:
     def __call__(self, *words, **environment):
         """Run it under the validation layer; the finished process."""
         env = os.environ | LAYER | {"DRESSI_DEVICE": "llvmpipe", "ASAN_OPTIONS": "detect_leaks=0"} | environment  # drivers leak
-        done = subprocess.run([self.program, *map(str, words)], capture_output=True, text=True, env=env, timeout=300)
+        done = subprocess.run([self.program, *map(str, words)], capture_output=True, text=True, env=env, timeout=1200)
         assert done.returncode <= LOST and "Sanitizer" not in done.stderr and "runtime error" not in done.stderr, done.stderr
         assert "Validation" not in done.stdout and "VUID" not in done.stdout + done.stderr, done.stdout + done.stderr
         return done

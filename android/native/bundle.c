@@ -184,8 +184,10 @@ void read_bundle(Call *call, Bundle *bundle, const uint8_t *data, uint64_t size,
     Call inner;
     Reader reader = {.call = &inner, .kept = &bundle->arena, .bundle = bundle, .variant = -1};
     bundle->data = data, bundle->size = size;
-    sha256(data, size, bundle->digest);
-    if (pin) check_pin(call, bundle, pin);
+    if (pin) { /* before anything is decoded */
+        sha256(data, size, bundle->digest);
+        check_pin(call, bundle, pin);
+    }
     uint64_t count = check_head(call, data, size);
     if (setjmp(inner.out)) {
         drop(&reader.scratch);
@@ -194,6 +196,7 @@ void read_bundle(Call *call, Bundle *bundle, const uint8_t *data, uint64_t size,
     read_all(&reader, count);
     drop(&reader.scratch);
     for (uint32_t k = 0; k < bundle->blob_count; k++) bundle->blobs[k].digest = NULL; /* within the file, which need not stay */
+    if (!pin) sha256(data, size, bundle->digest);
 }
 
 void read_bundle_file(Call *call, Bundle *bundle, const char *path, const char *pin, uint8_t **data) {

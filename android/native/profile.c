@@ -123,7 +123,7 @@ static void say_profile(Text *text, const dressi_device *d, const char *name, co
     say(text, "          \"author\": \"dressi_edge\",\n          \"comment\": \"\"\n        }\n      ],\n");
     say(text, "      \"capabilities\": [\"%s\"]\n    }\n  },\n  \"dressi_edge\": {\n    \"description\": ", name);
     if (!text->broken) say_json(text, about.at);
-    say(text, ",\n    \"tile_bits\": null,\n    \"max_merged_attachments\": null,\n    \"prefer_fp16\": false,\n");
+    say(text, ",\n    \"tile_bits\": null,\n    \"max_merged_attachments\": null,\n    \"max_live\": null,\n    \"prefer_fp16\": false,\n");
     say(text, "    \"sources\": {\n      \"*\": {\n        \"source\": ");
     if (!text->broken) say_json(text, source.at);
     say(text, ",\n        \"status\": \"measured\"\n      }\n    }\n  }\n}\n");

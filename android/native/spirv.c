@@ -235,7 +235,7 @@ static void find_repeated(Module *m) {
     for (uint32_t k = 0; k < member_count; k++)
         if (!k || member_before(members[k - 1], members[k], m))
             m->members[m->member_count++] = (Member){word(m, members[k] + 1), word(m, members[k] + 2), word(m, members[k] + 4),
-                members[k], false};
+                members[k]};
 }
 
 /* ---- What it means ---- */

@@ -18,7 +18,7 @@ typedef struct Type {
     uint32_t members, member_count;   /* of a structure its parts, of a function its parameters: words from `members` on */
 } Type;
 
-typedef struct Member { uint32_t structure, member, built_in, at; bool twice; } Member; /* a built-in member, sorted */
+typedef struct Member { uint32_t structure, member, built_in, at; } Member; /* a built-in member, sorted */
 typedef struct Marked { uint32_t has, built_in, location, binding, set, attachment; } Marked; /* has: bits of `mark_bit` */
 typedef struct Mention { uint32_t id, at; } Mention;
 
@@ -105,7 +105,7 @@ typedef struct Body {
     /* the function that is read */
     bool inside, begun;
     const Type *made;
-    uint32_t made_id, params_left, next_param, block_count, edge_count, local_count, use_count, phi_count;
+    uint32_t params_left, next_param, block_count, edge_count, local_count, use_count, phi_count;
     int block; /* that is open, or -1 */
     Block *blocks;
     uint32_t *edges, *label_of, *local_of, *locals; /* by id: number of the block of a label, and that makes a value, + 1 */

@@ -197,7 +197,7 @@ static void begin_function(Body *b, Ops o) {
     uint32_t id = define(m, O(1), o.at);
     b->functions[b->function_count] = (Routine){.id = id, .type = O(3)};
     b->function_of[id] = ++b->function_count;
-    b->inside = true, b->made = made, b->made_id = O(3);
+    b->inside = true, b->made = made;
     b->next_param = 0, b->params_left = made->member_count;
     b->block_count = b->edge_count = b->local_count = b->use_count = b->phi_count = 0;
     b->work = 0;

@@ -155,6 +155,8 @@ class Surface:
 
     def texture(self, image: Node, uv: Node | None = None, wrap: str = "repeat", gradient: str = "exact") -> Node:
         """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; see `texture.sample_texture`."""
+        if gradient == "inverse_uv" and self.step is None:  # a picture that no phase steps: nobody asks for its gradient
+            gradient = "none"
         return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step)
 
     def pixel(self) -> Node:

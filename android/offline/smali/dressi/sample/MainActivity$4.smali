@@ -2,12 +2,12 @@
 .super Ljava/lang/Object;
 
 # interfaces
-.implements Landroid/widget/AdapterView$OnItemSelectedListener;
+.implements Landroid/view/View$OnClickListener;
 
 
 # annotations
 .annotation system Ldalvik/annotation/EnclosingMethod;
-    value = Ldressi/sample/MainActivity;->onStart()V
+    value = Ldressi/sample/MainActivity;->onCreate(Landroid/os/Bundle;)V
 .end annotation
 
 .annotation system Ldalvik/annotation/InnerClass;
@@ -33,37 +33,13 @@
 
 
 # virtual methods
-.method public onItemSelected(Landroid/widget/AdapterView;Landroid/view/View;IJ)V
-    .registers 8
-    .annotation system Ldalvik/annotation/Signature;
-        value = {
-            "(",
-            "Landroid/widget/AdapterView",
-            "<*>;",
-            "Landroid/view/View;",
-            "IJ)V"
-        }
-    .end annotation
+.method public onClick(Landroid/view/View;)V
+    .registers 3
 
     iget-object v0, p0, Ldressi/sample/MainActivity$4;->this$0:Ldressi/sample/MainActivity;
 
-    const/4 v1, 0x0
-
-    # invokes: Ldressi/sample/MainActivity;->restart(Z)V
-    invoke-static {v0, v1}, Ldressi/sample/MainActivity;->access$200(Ldressi/sample/MainActivity;Z)V
-
-    return-void
-.end method
-
-.method public onNothingSelected(Landroid/widget/AdapterView;)V
-    .registers 2
-    .annotation system Ldalvik/annotation/Signature;
-        value = {
-            "(",
-            "Landroid/widget/AdapterView",
-            "<*>;)V"
-        }
-    .end annotation
+    # invokes: Ldressi/sample/MainActivity;->capture()V
+    invoke-static {v0}, Ldressi/sample/MainActivity;->access$300(Ldressi/sample/MainActivity;)V
 
     return-void
 .end method

@@ -74,7 +74,23 @@
     return-void
 .end method
 
-.method static synthetic access$300(Ldressi/sample/MainActivity;)Landroid/widget/ImageView;
+.method static synthetic access$300(Ldressi/sample/MainActivity;)V
+    .registers 1
+
+    invoke-direct {p0}, Ldressi/sample/MainActivity;->capture()V
+
+    return-void
+.end method
+
+.method static synthetic access$400(Ldressi/sample/MainActivity;)Landroid/os/Handler;
+    .registers 2
+
+    iget-object v0, p0, Ldressi/sample/MainActivity;->screen:Landroid/os/Handler;
+
+    return-object v0
+.end method
+
+.method static synthetic access$500(Ldressi/sample/MainActivity;)Landroid/widget/ImageView;
     .registers 2
 
     iget-object v0, p0, Ldressi/sample/MainActivity;->target:Landroid/widget/ImageView;
@@ -82,7 +98,7 @@
     return-object v0
 .end method
 
-.method static synthetic access$400(Ldressi/sample/MainActivity;)Landroid/widget/ImageView;
+.method static synthetic access$600(Ldressi/sample/MainActivity;)Landroid/widget/ImageView;
     .registers 2
 
     iget-object v0, p0, Ldressi/sample/MainActivity;->picture:Landroid/widget/ImageView;
@@ -90,7 +106,7 @@
     return-object v0
 .end method
 
-.method static synthetic access$500(Ldressi/sample/MainActivity;)Ldressi/sample/CurveView;
+.method static synthetic access$700(Ldressi/sample/MainActivity;)Ldressi/sample/CurveView;
     .registers 2
 
     iget-object v0, p0, Ldressi/sample/MainActivity;->curve:Ldressi/sample/CurveView;
@@ -98,7 +114,7 @@
     return-object v0
 .end method
 
-.method static synthetic access$600(Ldressi/sample/MainActivity;)Landroid/widget/TextView;
+.method static synthetic access$800(Ldressi/sample/MainActivity;)Landroid/widget/TextView;
     .registers 2
 
     iget-object v0, p0, Ldressi/sample/MainActivity;->status:Landroid/widget/TextView;
@@ -188,6 +204,48 @@
     invoke-direct {v1, v2, v3, v4}, Landroid/widget/LinearLayout$LayoutParams;-><init>(IIF)V
 
     invoke-virtual {p1, v0, v1}, Landroid/widget/LinearLayout;->addView(Landroid/view/View;Landroid/view/ViewGroup$LayoutParams;)V
+
+    return-void
+.end method
+
+.method private capture()V
+    .registers 5
+
+    new-instance v0, Ljava/io/File;
+
+    const/4 v1, 0x0
+
+    invoke-virtual {p0, v1}, Ldressi/sample/MainActivity;->getExternalFilesDir(Ljava/lang/String;)Ljava/io/File;
+
+    move-result-object v1
+
+    const-string v2, "profile.json"
+
+    invoke-direct {v0, v1, v2}, Ljava/io/File;-><init>(Ljava/io/File;Ljava/lang/String;)V
+
+    new-instance v1, Ljava/text/SimpleDateFormat;
+
+    const-string v2, "yyyy-MM-dd"
+
+    sget-object v3, Ljava/util/Locale;->ROOT:Ljava/util/Locale;
+
+    invoke-direct {v1, v2, v3}, Ljava/text/SimpleDateFormat;-><init>(Ljava/lang/String;Ljava/util/Locale;)V
+
+    new-instance v2, Ljava/util/Date;
+
+    invoke-direct {v2}, Ljava/util/Date;-><init>()V
+
+    invoke-virtual {v1, v2}, Ljava/text/SimpleDateFormat;->format(Ljava/util/Date;)Ljava/lang/String;
+
+    move-result-object v1
+
+    new-instance v2, Ldressi/sample/MainActivity$6;
+
+    const-string v3, "dressi profile"
+
+    invoke-direct {v2, p0, v3, v0, v1}, Ldressi/sample/MainActivity$6;-><init>(Ldressi/sample/MainActivity;Ljava/lang/String;Ljava/io/File;Ljava/lang/String;)V
+
+    invoke-virtual {v2}, Ldressi/sample/MainActivity$6;->start()V
 
     return-void
 .end method
@@ -340,7 +398,7 @@
 
     invoke-super {p0, p1}, Landroid/app/Activity;->onCreate(Landroid/os/Bundle;)V
 
-    if-eqz p1, :cond_ba
+    if-eqz p1, :cond_c4
 
     const-string v0, "paused"
 
@@ -348,7 +406,7 @@
 
     move-result v0
 
-    if-eqz v0, :cond_ba
+    if-eqz v0, :cond_c4
 
     const/4 v0, 0x1
 
@@ -451,6 +509,14 @@
 
     invoke-direct {p0, v2, v3, v4}, Ldressi/sample/MainActivity;->button(Landroid/widget/LinearLayout;Ljava/lang/String;Landroid/view/View$OnClickListener;)V
 
+    const-string v3, "Profile"
+
+    new-instance v4, Ldressi/sample/MainActivity$4;
+
+    invoke-direct {v4, p0}, Ldressi/sample/MainActivity$4;-><init>(Ldressi/sample/MainActivity;)V
+
+    invoke-direct {p0, v2, v3, v4}, Ldressi/sample/MainActivity;->button(Landroid/widget/LinearLayout;Ljava/lang/String;Landroid/view/View$OnClickListener;)V
+
     invoke-virtual {v0, v2}, Landroid/widget/LinearLayout;->addView(Landroid/view/View;)V
 
     new-instance v2, Landroid/widget/TextView;
@@ -493,26 +559,26 @@
 
     iget-object v0, p0, Ldressi/sample/MainActivity;->choice:Landroid/widget/Spinner;
 
-    if-nez p1, :cond_bd
+    if-nez p1, :cond_c7
 
-    :goto_b6
+    :goto_c0
     invoke-virtual {v0, v1}, Landroid/widget/Spinner;->setSelection(I)V
 
     return-void
 
-    :cond_ba
+    :cond_c4
     move v0, v1
 
     goto/16 :goto_11
 
-    :cond_bd
+    :cond_c7
     const-string v1, "choice"
 
     invoke-virtual {p1, v1}, Landroid/os/Bundle;->getInt(Ljava/lang/String;)I
 
     move-result v1
 
-    goto :goto_b6
+    goto :goto_c0
 .end method
 
 .method public onProgress(Ldressi/sample/Worker;Landroid/graphics/Bitmap;Landroid/graphics/Bitmap;FLjava/lang/String;)V
@@ -520,7 +586,7 @@
 
     iget-object v7, p0, Ldressi/sample/MainActivity;->screen:Landroid/os/Handler;
 
-    new-instance v0, Ldressi/sample/MainActivity$5;
+    new-instance v0, Ldressi/sample/MainActivity$7;
 
     move-object v1, p0
 
@@ -534,7 +600,7 @@
 
     move-object v6, p5
 
-    invoke-direct/range {v0 .. v6}, Ldressi/sample/MainActivity$5;-><init>(Ldressi/sample/MainActivity;Ldressi/sample/Worker;Landroid/graphics/Bitmap;Landroid/graphics/Bitmap;FLjava/lang/String;)V
+    invoke-direct/range {v0 .. v6}, Ldressi/sample/MainActivity$7;-><init>(Ldressi/sample/MainActivity;Ldressi/sample/Worker;Landroid/graphics/Bitmap;Landroid/graphics/Bitmap;FLjava/lang/String;)V
 
     invoke-virtual {v7, v0}, Landroid/os/Handler;->post(Ljava/lang/Runnable;)Z
 
@@ -572,9 +638,9 @@
 
     iget-object v0, p0, Ldressi/sample/MainActivity;->choice:Landroid/widget/Spinner;
 
-    new-instance v1, Ldressi/sample/MainActivity$4;
+    new-instance v1, Ldressi/sample/MainActivity$5;
 
-    invoke-direct {v1, p0}, Ldressi/sample/MainActivity$4;-><init>(Ldressi/sample/MainActivity;)V
+    invoke-direct {v1, p0}, Ldressi/sample/MainActivity$5;-><init>(Ldressi/sample/MainActivity;)V
 
     invoke-virtual {v0, v1}, Landroid/widget/Spinner;->setOnItemSelectedListener(Landroid/widget/AdapterView$OnItemSelectedListener;)V
 

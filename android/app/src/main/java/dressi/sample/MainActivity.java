@@ -16,9 +16,17 @@ import android.widget.LinearLayout;
 import android.widget.ScrollView;
 import android.widget.Spinner;
 import android.widget.TextView;
+import android.widget.Toast;
+import dressi.Device;
+import dressi.DressiException;
+import java.io.File;
+import java.io.FileOutputStream;
 import java.io.IOException;
+import java.text.SimpleDateFormat;
 import java.util.ArrayList;
+import java.util.Date;
 import java.util.List;
+import java.util.Locale;
 
 /**
  * Plays a bundle of the assets and shows how it goes: target and picture, the loss, milliseconds a step, which device and profile.
@@ -66,6 +74,12 @@ public final class MainActivity extends Activity implements Worker.Listener {
             @Override
             public void onClick(View view) {
                 restart(true);
+            }
+        });
+        button(buttons, "Profile", new View.OnClickListener() {
+            @Override
+            public void onClick(View view) {
+                capture();
             }
         });
         page.addView(buttons);
@@ -118,6 +132,31 @@ public final class MainActivity extends Activity implements Worker.Listener {
         }
         worker = new Worker(this, name.toString(), fresh, paused, this);
         worker.start();
+    }
+
+    /** Writes what this device allows to a file, for `dressi-edge compile -p`, and says where it is. */
+    private void capture() {
+        final File file = new File(getExternalFilesDir(null), "profile.json");
+        final String date = new SimpleDateFormat("yyyy-MM-dd", Locale.ROOT).format(new Date());
+        new Thread("dressi profile") {
+            @Override
+            public void run() {
+                String said;
+                try (Device device = new Device(null); FileOutputStream out = new FileOutputStream(file)) {
+                    out.write(device.profile("captured", date).getBytes("UTF-8"));
+                    said = "profile of " + device.name() + ": " + file;
+                } catch (DressiException | IOException error) {
+                    said = "profile: " + error.getMessage();
+                }
+                final String text = said;
+                screen.post(new Runnable() {
+                    @Override
+                    public void run() {
+                        Toast.makeText(MainActivity.this, text, Toast.LENGTH_LONG).show();
+                    }
+                });
+            }
+        }.start();
     }
 
     /** From the worker's thread. */
