@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from dressi_edge.cache.layout import Layout
+from dressi_edge.compiler.check_op import image_layout, layout_of, rounded  # noqa: F401  (tests take them from here)
 from dressi_edge.compiler.graph.autodiff import gradients
-from dressi_edge.compiler.graph.check import image_layout, layout_of, rounded  # noqa: F401  (tests take them from here)
 from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, mean, total
 from dressi_edge.compiler.graph.ir import image, is_int, table, vector_type
 from dressi_edge.compiler.graph.program import Program

@@ -12,9 +12,9 @@ from graphs import image_layout
 from dressi_edge.cache.errors import GraphError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
+from dressi_edge.compiler.check_op import check_op
 from dressi_edge.compiler.graph import functions as F
 from dressi_edge.compiler.graph.autodiff import gradients
-from dressi_edge.compiler.graph.check import check_op
 from dressi_edge.compiler.graph.ir import UNIT, Data, Node, image
 from dressi_edge.compiler.graph.optable import OPS, When, elementwise, op
 from dressi_edge.compiler.graph.reference import evaluate

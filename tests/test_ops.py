@@ -14,7 +14,7 @@ from graphs import image_layout, layout_of, rounded
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.graph import check
+from dressi_edge.compiler import check_op as check
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, normalize, select, total
 from dressi_edge.compiler.graph.ir import Node, topological
@@ -110,7 +110,7 @@ UNDIFFERENTIATED = {"sample": {0}, "stop_gradient": {0}, "lookup_near": {3, 4}, 
 
 
 def check_gradients(name, arguments, attrs, without=frozenset(), build=None):
-    """By `graph/check.py`, as ops of users are tested."""
+    """By `compiler/check_op.py`, as ops of users are tested."""
     check.check_gradients(name, arguments, build or (lambda *xs: apply(name, *xs, **attrs)), without)
 
 

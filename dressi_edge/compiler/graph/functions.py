@@ -2,7 +2,7 @@
 of several ops. `help(functions.sin)` says what one does; `dir(functions)` lists all.
 
 Numbers may stand for nodes; arrays are wrapped with `constant` (an image) or `constant_table`. Inputs have equal extents or 1 x 1 where
-nothing else is said. `op` adds an op of one's own, `graph.check.check_op` tests it.
+nothing else is said. `op` adds an op of one's own, `compiler.check_op` tests it.
 """
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def op(name: str, params: str | None = None, *, infer: Callable | None = None, r
     extent), by default `elementwise`. ref: NumPy, arrays (height, width, channels) in and out, attributes by keyword. vjp(g, y, *inputs,
     **attrs) -> a gradient for each input, or None; with no vjp a gradient through the op is refused. glsl: the snippet, see the module's
     text. reads: how each input is read, in words, by default at the own texel. attrs: attributes in words, those that may be left out end
-    in "?"; by default the reference's other parameters. The other facts are fields of `Op`. `check.check_op` tests a row. Raises
+    in "?"; by default the reference's other parameters. The other facts are fields of `Op`. `compiler.check_op` tests a row. Raises
     GraphError where a word is not known."""
     if name in OPS:
         raise GraphError(f"op {name} is declared twice")

@@ -1,6 +1,8 @@
 """What a user builds with: scenes and problems in, programs out. `from dressi_edge.compiler.scene import F, Scene, Adam, ...` is all there
 is to import; `F` has every op of the graph by name (docs/guide.md)."""
+from ..check_op import check_op
 from ..graph import functions as F
+from ..graph.optable import op
 from ..io.cameras import Camera, look_along, look_at, orbit
 from ..io.mesh import Mesh, corner_normals, linear_mesh
 from ..io.meshes import load_mesh, load_parts
@@ -40,8 +42,8 @@ from .scene import Scene
 __all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "Corner", "F", "HardSoftRas", "Lambert",
            "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene",
            "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes",
-           "charbonnier", "corner_normals", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb",
+           "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb",
            "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model",
            "load_mesh", "load_parts", "load_views", "look_along", "look_at", "mean_square", "normal_consistency",
-           "normal_loss", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png", "similarity",
-           "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]
+           "normal_loss", "op", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png",
+           "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]

@@ -12,14 +12,14 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 
 import numpy as np
 
-from ...cache.errors import DressiError, GraphError
-from ...cache.layout import Layout
-from .autodiff import gradients
-from .functions import dot, total
-from .ir import Node, is_int, vector_type
-from .optable import EMPTY, NEGATIVE, OPS, Op, apply, elementwise, floats, integers
-from .program import Program
-from .reference import evaluate
+from ..cache.errors import DressiError, GraphError
+from ..cache.layout import Layout
+from .graph.autodiff import gradients
+from .graph.functions import dot, total
+from .graph.ir import Node, is_int, vector_type
+from .graph.optable import EMPTY, NEGATIVE, OPS, Op, apply, elementwise, floats, integers
+from .graph.program import Program
+from .graph.reference import evaluate
 
 RTOL = 2e-6  # of fp32 against float64, for a few operations
 
@@ -189,8 +189,8 @@ def _check_facts(row: Op, arguments: list, attrs: dict) -> None:
 
 
 def _check_device(row: Op, program: Program, nodes: dict[str, Node], feed: dict, rtol: float, profile: str) -> None:
-    from ... import runtime
-    from .. import compile_program
+    from .. import runtime
+    from . import compile_program
 
     program.plan("all", {}, {case: (y, layout_of(y)) for case, y in nodes.items()})
     with tempfile.TemporaryDirectory() as folder:
