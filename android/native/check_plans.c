@@ -1,5 +1,5 @@
 /* Checks plans and takes them apart: their stages and draws, what each is for, and that nothing is read that was never written. Order
-   and words are those of dressi_edge/cache/bundle_check.py. What Python holds in sets are stamps here: a number by value or ref. */
+   and words are those of dressi_edge/cache/bundle_plans.py. What Python holds in sets are stamps here: a number by value or ref. */
 
 #include "inside.h"
 
