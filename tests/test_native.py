@@ -9,6 +9,7 @@ import shutil
 import stat
 import struct
 import subprocess
+import sys
 from pathlib import Path
 
 import fuzz_bundle
@@ -560,3 +561,11 @@ def test_words_that_are_wrong_are_named(play, tmp_path):
             (("run", states, "--device", "nothing"), DEVICE, "no Vulkan device is called 'nothing'; there are")):
         done = play(*words)
         assert done.returncode == code and done.stderr.startswith("dressi-play: ") and told in done.stderr, (words, done.stderr)
+
+
+@pytest.mark.full
+def test_the_benchmark_finds_the_same_bits(tmp_path):
+    subprocess.run([sys.executable, ROOT / "benchmarks" / "native.py", "--quick", "--json", tmp_path / "out.json"], check=True,
+                   env=os.environ | {"PYTHONPATH": str(ROOT)})
+    report = json.loads((tmp_path / "out.json").read_text())
+    assert all(report["states_equal"].values()) and report["steps"] == 6 and report["all_steps"]["native"]["peak_kb"] > 0

@@ -149,8 +149,8 @@ static uint64_t check_head(Call *call, const uint8_t *data, uint64_t size) {
         fail(call, DRESSI_BUNDLE, "truncated: the description has %llu bytes, the file holds %llu of them", (ull)count, (ull)(size - HEAD));
     if (count > MAX_DESCRIPTION)
         fail(call, DRESSI_BUNDLE, "the description has %llu bytes; at most %d are allowed", (ull)count, MAX_DESCRIPTION);
-    if (!matches(data + HEAD, count, data + 24)) fail(call, DRESSI_BUNDLE,
-        "the description's checksum does not match; the file is damaged");
+    if (!matches(data + HEAD, count, data + 24))
+        fail(call, DRESSI_BUNDLE, "the description's checksum does not match; the file is damaged");
     return count;
 }
 

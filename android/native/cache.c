@@ -115,9 +115,9 @@ static char *file_of(const Session *s) {
 /* Whether a driver's blob begins with Vulkan's header, of this device. */
 static bool belongs(const Session *s, const uint8_t *data, uint64_t size) {
     const VkPhysicalDeviceProperties *p = &s->device->properties;
-    return size >= DRIVER_HEAD && little32(data) >= DRIVER_HEAD && little32(data) <= size && little32(data + 4) == 1 &&
-           little32(data + 8) == p->vendorID && little32(data + 12) == p->deviceID && !memcmp(data + 16, p->pipelineCacheUUID,
-               VK_UUID_SIZE);
+    if (size < DRIVER_HEAD || little32(data) < DRIVER_HEAD || little32(data) > size || little32(data + 4) != 1) return false;
+    if (little32(data + 8) != p->vendorID || little32(data + 12) != p->deviceID) return false;
+    return !memcmp(data + 16, p->pipelineCacheUUID, VK_UUID_SIZE);
 }
 
 static void make_head(const Session *s, const uint8_t *data, uint64_t size, uint8_t head[HEAD]) {

@@ -116,9 +116,9 @@ void check_flow(Reader *r, Marks *marks) {
     const Variant *v = r->v;
     uint64_t refs = 2 * (uint64_t)v->image_count;
     char shown[SHOWN];
-    Flow f = {make_scratch(r, refs, 1), make_scratch(r, refs, 4), make_scratch(r, refs, 4), make_scratch(r, refs, 4), make_scratch(r,
-        refs, 4),
-              make_scratch(r, refs, 4), make_scratch(r, refs, 4), 0, make_scratch(r, v->plan_count, sizeof(Indices))};
+    Flow f = {.given = make_scratch(r, refs, 1), .owned = make_scratch(r, refs, 4), .mine = make_scratch(r, refs, 4),
+              .kept = make_scratch(r, refs, 4), .read = make_scratch(r, refs, 4), .wrote = make_scratch(r, refs, 4),
+              .listed = make_scratch(r, refs, 4), .writes = make_scratch(r, v->plan_count, sizeof(Indices))};
     uint32_t *attached = make_scratch(r, refs, 4), *seen = make_scratch(r, refs, 4);
     for (uint64_t ref = 0; ref < refs; ref++) {
         const Image *image = v->images + ref / 2;
@@ -149,8 +149,8 @@ void check_flow(Reader *r, Marks *marks) {
     for EACH(r, k, v->plan_count)
         for (uint32_t j = 0; j < f.writes[k].count; j++) {
             uint32_t ref = f.writes[k].at[j];
-            if (f.kept[ref] >= 0 && f.kept[ref] != (int)k) refuse(r, " writes image %u, which plans[%d] keeps for others", ref / 2,
-                f.kept[ref]);
+            if (f.kept[ref] >= 0 && f.kept[ref] != (int)k)
+                refuse(r, " writes image %u, which plans[%d] keeps for others", ref / 2, f.kept[ref]);
         }
     pop(r);
 }

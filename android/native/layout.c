@@ -75,8 +75,9 @@ static void check_numbers(Call *call, const Value *value, bool half, const uint8
         bad += size > LAST_FLOAT;
         if (half && size > LAST_HALF && beyond == UINT64_MAX) beyond = k;
     }
-    if (bad) fail(call, DRESSI_INPUT, "%.100s has %llu values that are NaN or Inf; finite numbers are needed", value->name,
-        (unsigned long long)bad);
+    if (bad)
+        fail(call, DRESSI_INPUT, "%.100s has %llu values that are NaN or Inf; finite numbers are needed", value->name,
+             (unsigned long long)bad);
     if (beyond == UINT64_MAX) return;
     char where[80];
     float x;

@@ -106,8 +106,8 @@ static void open_all(Session *s, Call *call, Source source, const dressi_options
     if (source.path) read_bundle_file(call, &s->bundle, source.path, options->pin, data);
     else read_bundle(call, &s->bundle, source.bytes, source.size, options->pin);
     s->device = options->device;
-    if (s->device && s->device->process != s->process) fail(call, DRESSI_DEVICE,
-        "the device was opened before this process was forked; open another");
+    if (s->device && s->device->process != s->process)
+        fail(call, DRESSI_DEVICE, "the device was opened before this process was forked; open another");
     if (!s->device) {
         s->device = dressi_device_open(options->select, &inner);
         if (!s->device) fail(call, inner.code, "%s", inner.text);
@@ -220,8 +220,8 @@ static uint32_t check_transfer(Session *s, Call *call, const Transfer *t) {
     describe_value(s->v->values + k, &about);
     if (about.bytes == t->bytes) return k;
     char shape[64] = "";
-    for (int n = 0; n < about.rank; n++) snprintf(shape + strlen(shape), sizeof shape - strlen(shape), "%s%u", n ? ", " : "",
-        about.shape[n]);
+    for (int n = 0; n < about.rank; n++)
+        snprintf(shape + strlen(shape), sizeof shape - strlen(shape), "%s%u", n ? ", " : "", about.shape[n]);
     fail(call, DRESSI_INPUT, "%.100s: the array has %zu bytes; %zu are needed, of shape (%s) and type %s", t->name, t->bytes,
         about.bytes, shape,
          about.is_int ? "int32" : "float");

@@ -407,7 +407,7 @@ const Interface *parse_shader(Reader *r, const uint8_t *data, uint64_t size) {
     for (uint32_t k = 0; k < m->named_count; k++)
         if (!m->defined[m->named[k].id]) WRONG(m, m->named[k].at, "speaks of id %u, which nothing defines", m->named[k].id);
     for (uint32_t k = 0; k < m->moded_count; k++)
-        if (m->moded[k].id != m->entry || m->stage != FRAGMENT_STAGE) WRONG(m, m->moded[k].at,
-            "an execution mode of what is no fragment shader");
+        if (m->moded[k].id != m->entry || m->stage != FRAGMENT_STAGE)
+            WRONG(m, m->moded[k].at, "an execution mode of what is no fragment shader");
     return interface_of(m);
 }

@@ -10,8 +10,8 @@ static void finish(Body *b, Ops o) { result(b, O(0), O(1), o.at); }
 
 static const Type *scalar(Body *b, uint32_t x, const char *letters, uint32_t at) {
     const Type *type = value_type(b, x, at);
-    if (type->components != 1 || !type->letter || !letter_in(type, letters)) WRONG(b->m, at, "id %u is no scalar of letters %s", x,
-        letters);
+    if (type->components != 1 || !type->letter || !letter_in(type, letters))
+        WRONG(b->m, at, "id %u is no scalar of letters %s", x, letters);
     return type;
 }
 
