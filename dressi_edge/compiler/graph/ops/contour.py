@@ -36,8 +36,10 @@ def _depth_ref(front, clip, faces, position, face_count, vertices, cell_w, cell_
 
 
 def _depth_infer(name, inputs, attrs):
-    if inputs[2].extent.count != attrs["face_count"] or inputs[0].extent != inputs[3].extent:
-        raise GraphError(f"{name}: {inputs!r} do not fit {attrs['face_count']} faces over one image")
+    front, clip, faces, position = inputs
+    if faces.extent.count != attrs["face_count"] or front.extent != position.extent or clip.extent.count % attrs["vertices"]:
+        raise GraphError(f"{name}: {inputs!r} do not fit {attrs['face_count']} faces and views of {attrs['vertices']} vertices over one "
+                         "image")
     return "float", inputs[0].extent
 
 
