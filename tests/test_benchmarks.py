@@ -1,6 +1,8 @@
 """The benchmarks run, and what they measure with is right: small procedural targets always, photographs where they are."""
 
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -192,3 +194,20 @@ def test_the_geometry_benchmark_names_what_it_measures(tmp_path):
     geometry.main(["--quick", "--only", "skin", "--json", str(tmp_path / "out.json")])
     row, = json.loads((tmp_path / "out.json").read_text())["results"]
     assert row["case"] == "skin" and row["vertices"] == 1000 and min(row["ms"], row["compile_s"], row["image_MB"], row["bundle_MB"]) > 0
+
+
+@pytest.mark.full
+def test_what_a_real_gpu_is_measured_with_runs_from_the_folder_alone(tmp_path):
+    """Prepared here, run there: by another process that sees nothing of the checkout."""
+    program = Path(__file__).resolve().parents[1] / "benchmarks" / "gpu.py"
+    folder, out = tmp_path / "carried", tmp_path / "out.json"
+    subprocess.run([sys.executable, program, "prepare", folder, "--quick"], check=True, capture_output=True)
+    environment = {name: x for name, x in os.environ.items() if name != "PYTHONPATH"} | {"DRESSI_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, folder / "gpu.py", "run", out, "--device", "llvmpipe", "--validation"], cwd=tmp_path,
+                          env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(out.read_text())
+    assert told["messages"] == [] == told["left_out"] and "failed" not in told
+    assert told["vectors"] and all(r["error"] is None and r["deviation"] <= 1 for r in told["vectors"])
+    assert len(told["bundles"]) == 3 and all(b["losses"][1] < b["losses"][0] and b["ms"] > 0 for b in told["bundles"].values())
+    assert told["profile"]["capabilities"]["captured"]

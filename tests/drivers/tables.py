@@ -91,19 +91,24 @@ def _cell(own: dict | None, other: dict | None) -> str:
     return f"{own['spills'] or 0:g}{before}, {own['registers']:g}, {own['waves'] or 0:g}{ratio}"
 
 
+def keep(results: dict[str, dict]) -> None:
+    """The JSON and the page, drivers in the catalog's order."""
+    results = {name: results[name] for name in catalog.DRIVERS if name in results}
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    before, _, rest = DOCS.read_text().partition(MARKS[0])
+    DOCS.write_text(before + MARKS[0] + "\n" + text(results) + "\n" + MARKS[1] + rest.partition(MARKS[1])[2])
+
+
 def main() -> int:
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     bundles: dict[str, list[Path]] = {}
     for name in catalog.chosen(" ".join(sys.argv[1:]) or "all"):
         try:
             results[name] = measure(name, bundles)
+            keep(results)  # as soon as there is something
             print(f"{name}: {results[name]['bundles']} bundles, {len(results[name]['faults'])} faults", flush=True)
         except fetch.Missing as why:
             print(f"{name}: left out: {why}", flush=True)
-    results = {name: results[name] for name in catalog.DRIVERS if name in results}
-    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
-    before, _, rest = DOCS.read_text().partition(MARKS[0])
-    DOCS.write_text(before + MARKS[0] + "\n" + text(results) + "\n" + MARKS[1] + rest.partition(MARKS[1])[2])
     return 0
 
 
