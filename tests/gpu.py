@@ -1,15 +1,19 @@
 """Programs on lavapipe under the validation layer: a pytest plugin, `pytest_plugins = ["gpu"]` in a module that wants `gpu`.
 
 The device is opened once for the whole session with synchronization validation, and every run leaves it with nothing to say.
-A machine without lavapipe or without the layer fails here: nothing is skipped.
+A machine without lavapipe or without the layer fails here: nothing is skipped. DRESSI_TEST_DEVICE names another device (a part of its
+name); what depends on a device, its grid of sub-pixels above all, is asked of it.
 """
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from undertest import DEVICE, GRIDS
 
 from dressi_edge import runtime
+from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import compile_program
 from dressi_edge.runtime.device import Device
 
@@ -19,13 +23,20 @@ class Gpu:
 
     def __init__(self, folder):
         self.folder, self.numbers = folder, itertools.count()
-        self.device = Device.open("llvmpipe", validation=True)
+        self.device = Device.open(DEVICE, validation=True)
 
     def compile(self, program, profile="lavapipe", **how):
-        """The path of the bundle."""
+        """The path of the bundle, made for that profile on the grids of the device where these are coarser."""
         path = self.folder / f"{next(self.numbers)}.dressi"
-        compile_program(program, profile, path, **how)
+        profiles = [self.at_hand(p) for p in profile] if isinstance(profile, (list, tuple)) else self.at_hand(profile)
+        compile_program(program, profiles, path, **how)
         return path
+
+    def at_hand(self, profile):
+        """The profile, with the device's grids where those are coarser."""
+        profile = profile if isinstance(profile, Profile) else Profile.load(profile)
+        coarser = {name: self.device.limits[name] for name in GRIDS if self.device.limits[name] < profile.limit(name)}
+        return replace(profile, limits={**profile.limits, **coarser}) if coarser else profile
 
     def open(self, program, profile="lavapipe", **how):
         """A session on the bundle, to close by the caller."""

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from undertest import DEVICE
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler.check_op import image_layout, layout_of, rounded  # noqa: F401  (tests take them from here)
@@ -18,10 +19,10 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def python(code, *arguments, **environment):
-    """Run code in a process of its own, on this tree."""
+    """Run code in a process of its own, on this tree; its device is the one under test."""
     paths = f"{ROOT}:{ROOT / 'tests'}"
     done = subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, cwd=ROOT,
-                          env={**os.environ, "PYTHONPATH": paths, **environment})
+                          env={**os.environ, "PYTHONPATH": paths, "DRESSI_DEVICE": DEVICE, **environment})
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from profile_bundles import NAMES, hardsoftras
+from undertest import DEVICE
 
 from dressi_edge import runtime
 from dressi_edge.cache import bundle
@@ -55,7 +56,7 @@ def test_every_profile_runs_its_bundle_and_gives_the_same_answer(gpu, profile_bu
 
 def test_a_session_closes_the_device_it_opened_and_no_other(gpu, profile_bundle):
     path = profile_bundle("limit4", 1)
-    with runtime.load(path, "llvmpipe", emulate="limit4") as session:
+    with runtime.load(path, DEVICE, emulate="limit4") as session:
         device = session.device
     assert device.real.device is None
     with runtime.load(path, gpu.device, emulate="limit4"):
@@ -85,7 +86,7 @@ def test_a_refusal_closes_the_device_that_load_opened(profile_bundle, monkeypatc
     real_open = runtime.session.Device.open
     monkeypatch.setattr(runtime.session.Device, "open", lambda *a, **k: opened.append(real_open(*a, **k)) or opened[-1])
     with pytest.raises(DeviceError):
-        runtime.load(profile_bundle("unlimited", 3), "llvmpipe", emulate="limit4")
+        runtime.load(profile_bundle("unlimited", 3), DEVICE, emulate="limit4")
     assert len(opened) == 1 and opened[0].device is None
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from graphs import ROOT, python
 from test_session import walk
+from undertest import DEVICE
 
 from dressi_edge import runtime
 from dressi_edge.cache.layout import Layout
@@ -40,7 +41,7 @@ def rss():
     trim(0)
     with open("/proc/self/statm") as f:
         return int(f.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-with Device.open("llvmpipe", validation=sys.argv[3] == "synchronization") as device:
+with Device.open(validation=sys.argv[3] == "synchronization") as device:
     def cycles(count):
         for _ in range(count):
             with runtime.load(sys.argv[1], device) as s:
@@ -112,7 +113,7 @@ def test_every_object_made_is_destroyed_once(bundle, monkeypatch, sessions):
                     return len(args[2]) if table is gone and kind == "CommandBuffers" else \
                         len(result) if isinstance(result, list) else 1
                 monkeypatch.setattr(vk, name, counted(table, kind, getattr(vk, name), many))
-    with Device.open("llvmpipe") as device:
+    with Device.open(DEVICE) as device:
         for _ in range(sessions):
             with runtime.load(bundle, device) as s:
                 s.step(3)
@@ -125,7 +126,7 @@ def test_every_object_made_is_destroyed_once(bundle, monkeypatch, sessions):
 
 def test_a_device_left_with_objects_says_so(bundle):
     """The layer does see what is not given back: the test above would fail."""
-    device = Device.open("llvmpipe", validation=True)
+    device = Device.open(DEVICE, validation=True)
     vk.CreateFence(device.device, vk.VkFenceCreateInfo())
     device.close()
     assert any("VkFence" in line for line in device.messages)
@@ -136,7 +137,7 @@ import sys
 import msgpack, numpy
 before = set(sys.modules)
 from dressi_edge import runtime
-with runtime.load(sys.argv[1], "llvmpipe") as s:
+with runtime.load(sys.argv[1]) as s:
     s.step(2)
     s.get("picture")
     s.checkpoint(sys.argv[2])
@@ -176,7 +177,7 @@ def test_the_app_of_the_guide_runs_and_goes_on_where_it_was_stopped(gpu, tmp_pat
     assert len(BLOCKS[0].strip().splitlines()) <= 20
 
     def run(code=BLOCKS[0]):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRESSI_DEVICE": "llvmpipe"}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRESSI_DEVICE": DEVICE}
         done = subprocess.run([sys.executable, "-c", code, path, "targets.npy", "saved"], cwd=tmp_path, env=environment,
                               capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

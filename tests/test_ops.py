@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from corpus import icosahedron, project, rotation
 from graphs import image_layout, layout_of, rounded
+from undertest import margin
 
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
@@ -404,7 +405,7 @@ def raster(gpu):
 def test_rasterization_on_lavapipe_is_the_reference(o, raster):
     device, reference, (clear, same_value), _ = raster
     found, expected = np.atleast_3d(device[o.name]), reference[o.name]
-    sure, nearly = clear > 1 / 64, same_value > 1 / 64
+    sure, nearly = clear > margin(), same_value > margin()
     assert nearly.mean() > 0.8 and (expected[..., 0][sure] >= 0).sum() > 100
     np.testing.assert_array_equal(found[..., 0][sure], expected[..., 0][sure])
     # where two faces are equally far the lower index is meant; one shared corner may be rounded either way
@@ -424,7 +425,7 @@ def test_an_empty_cell_of_the_atlas_stays_empty(raster):
 def test_the_hard_faces_are_those_of_the_first_layer(raster):
     device, reference, (clear, same_value), _ = raster
     found, first = device["rasterize_hard"], device["rasterize"]
-    sure, nearly = clear > 1 / 64, same_value > 1 / 64
+    sure, nearly = clear > margin(), same_value > margin()
     np.testing.assert_array_equal(found[sure], reference["rasterize_hard"][..., 0][sure])
     covered = (first >= 0) & (first & 1 == 1)
     np.testing.assert_array_equal((found >= 0)[nearly], covered[nearly])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from graphs import python
+from undertest import DEVICE
 
 from dressi_edge import runtime
 from dressi_edge.cache.errors import DeviceError, InputError
@@ -63,7 +64,7 @@ def test_n_single_steps_are_one_call_of_n(gpu, bundle, n):
 RUN = """
 import sys, hashlib
 from dressi_edge import runtime
-with runtime.load(sys.argv[1], "llvmpipe") as s:
+with runtime.load(sys.argv[1]) as s:
     s.step(7)
     s.set("rate", 0.3)
     s.step(4)
@@ -359,7 +360,7 @@ def test_a_closed_session_says_so(gpu, bundle):
 
 
 def test_a_session_that_opened_its_device_closes_it(bundle):
-    with runtime.load(bundle, "llvmpipe", validation=True) as s:
+    with runtime.load(bundle, DEVICE, validation=True) as s:
         s.step(2)
         device = s.device
     assert device.device is None and device.messages == []

@@ -588,7 +588,7 @@ RUN = """
 import hashlib, sys
 import numpy as np
 from dressi_edge import runtime
-with runtime.load(sys.argv[1], "llvmpipe") as session:
+with runtime.load(sys.argv[1]) as session:
     session.set("targets", np.random.default_rng(3).uniform(size=session.shape("targets")))
     session.step(5)
     names = [name for name, value in session.values.items() if value["role"] in ("state", "output")]

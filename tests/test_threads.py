@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from graphs import python
 from test_session import STATES, bits, cacheable
+from undertest import DEVICE
 
 from dressi_edge import runtime
 from dressi_edge.cache import steps
@@ -91,7 +92,7 @@ def test_the_queue_is_used_by_one_thread_at_a_time(gpu, bundle, monkeypatch):
 
 def test_sessions_on_devices_of_their_own(bundle):
     def run():
-        with runtime.load(bundle, "llvmpipe") as s:
+        with runtime.load(bundle, DEVICE) as s:
             s.step(5)
             return bits(s)
 
@@ -242,7 +243,7 @@ FORK = """
 import os, sys, threading, time
 from dressi_edge import runtime
 from dressi_edge.cache.errors import DeviceError
-s = runtime.load(sys.argv[1], "llvmpipe")
+s = runtime.load(sys.argv[1])
 s.step(3)
 stop = threading.Event()
 runner = threading.Thread(target=s.step, args=(10 ** 9,), kwargs={"cancel": stop})  # holds the lock at the fork
