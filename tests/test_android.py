@@ -107,7 +107,8 @@ def arm(apk, tmp_path_factory):
         (out / "libdressi.so").write_bytes(z.read("lib/arm64-v8a/libdressi.so"))
     arm64.shims(sysroot, out)
     arm64.player(sysroot, out, out / "libdressi.so")
-    return lambda *words, **environment: arm64.run(sysroot, out, *words, **environment)
+    arm64.play(sysroot, out, apk[0] / "include")
+    return lambda *words, program="player": arm64.run(sysroot, out, program, *words)
 
 
 def replayed(play, folder, path, steps):
@@ -171,6 +172,16 @@ def test_what_is_malformed_is_refused_on_arm_and_a_checkpoint_goes_there(arm, tm
     with runtime.load(path, "llvmpipe") as session:
         session.restore(tmp_path / "there")
         assert session.report()["runs"]["walk"] == 5
+
+
+@android
+def test_dressi_play_runs_on_arm(arm, tmp_path):
+    done = arm("capture", "--name", "arm", "--output", tmp_path / "arm.json", program="dressi-play")
+    assert done.returncode == 0 and Profile.load(tmp_path / "arm.json").limit("maxImageDimension2D") >= 4096, done.stderr
+    path = FOLDER / "states.dressi"
+    assert arm("verify", path, program="dressi-play").stdout.startswith(f"OK {path}: profile lavapipe, 4 plans")
+    done = arm("run", path, "--phase", "walk", "--steps", 3, "--get", f"t={tmp_path / 't'}", program="dressi-play")
+    assert done.returncode == 0 and np.fromfile(tmp_path / "t", np.int32) == 3, done.stderr
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
 """64-bit ARM without a device: programs of a Debian root of that architecture under qemu-user, with Mesa's software driver.
 
-In: the libdressi.so of an APK. Out: the tests' player, which loads that very file. What Android's C library has and glibc has otherwise is
-bridged by libraries of its names (`SHIMS`) that depend on glibc's. It proves code, relocations, names and results; nothing of Android's own
-loader, C library and drivers. Packages: clang-16 lld-16 mmdebstrap qemu-user.
+In: the libdressi.so of an APK. Out: the tests' player, which loads that very file, and dressi-play for boards with Debian's C library. What
+Android's C library has and glibc has otherwise is bridged by libraries of its names (`SHIMS`) that depend on glibc's. It proves code,
+relocations, names and results; nothing of Android's own loader, C library and drivers. Packages: clang-16 lld-16 mmdebstrap qemu-user.
 """
 from __future__ import annotations
 
@@ -51,9 +51,18 @@ def player(sysroot: Path, out: Path, library: Path) -> Path:
     return made
 
 
-def run(sysroot: Path, out: Path, *words, **environment) -> subprocess.CompletedProcess:
-    """Run the player with these words; the finished process."""
+def play(sysroot: Path, out: Path, include: Path) -> Path:
+    """dressi-play, as it is built for a board; `include` has Vulkan's headers."""
+    native, made = ROOT / "android" / "native", out / "dressi-play"
+    sources = [*sorted(native.glob("*.c")), native / "programs" / "play.c", native / "programs" / "inspect.c"]
+    subprocess.run([*TARGET, f"--sysroot={sysroot}", "-std=gnu11", "-O1", "-I", native, "-I", native / "programs", "-isystem", include,
+                    *sources, "-lpthread", "-o", made], check=True)
+    return made
+
+
+def run(sysroot: Path, out: Path, program: str, *words, **environment) -> subprocess.CompletedProcess:
+    """Run a program of that folder with these words; the finished process."""
     set_there = {"LD_LIBRARY_PATH": str(out), "VK_ICD_FILENAMES": str(sysroot / "usr/share/vulkan/icd.d/lvp_icd.aarch64.json"),
                  "DRESSI_CACHE": "off", **environment}
-    words = [word for name, value in set_there.items() for word in ("-E", f"{name}={value}")] + [str(w) for w in (out / "player", *words)]
+    words = [word for name, value in set_there.items() for word in ("-E", f"{name}={value}")] + [str(w) for w in (out / program, *words)]
     return subprocess.run(["qemu-aarch64", "-L", sysroot, *words], capture_output=True, text=True, env=os.environ, timeout=600)
