@@ -3,9 +3,10 @@
 import pytest
 from make_vectors import FOLDER
 
+from dressi_edge import runtime
 from dressi_edge.cache import bundle
 from dressi_edge.cli import main
-from dressi_edge.commands.statistics import NAMES, Compiled, Place, compiled, places
+from dressi_edge.commands.statistics import NAMES, Compiled, Place, compiled, image_memory, places
 from dressi_edge.runtime.device import Device
 
 pytest_plugins = ["gpu"]
@@ -32,6 +33,15 @@ def test_every_pipeline_is_compiled_and_placed(gpu, name):
     assert len(made) == len(taken.description["pipelines"]) and all(one.ms > 0 for one in made)
     assert [one.place for one in made] == [places(taken.description).get(k) for k in range(len(made))]
     assert {one.place.plan for one in made} <= {plan["name"] for plan in taken.description["plans"]}
+    gpu.silent()
+
+
+@pytest.mark.parametrize("name", ["silhouette", "copies"])
+def test_images_take_at_least_their_texels_and_what_a_session_takes(gpu, name):
+    raw, taken = image_memory(gpu.device, bundle.read(FOLDER / f"{name}.dressi").variants[0])
+    with runtime.load(FOLDER / f"{name}.dressi", gpu.device) as session:
+        occupied = session.report()["image_bytes"]
+    assert 0 < raw <= taken <= occupied < taken + 65536  # images are aligned in one allocation
     gpu.silent()
 
 

@@ -24,7 +24,7 @@ def _statistics(args, variants) -> None:
     """Of every variant, whether it fits the device or not."""
     from ..cache.errors import DeviceError, InputError
     from ..runtime.device import Device
-    from .statistics import NAMES, compiled
+    from .statistics import NAMES, compiled, image_memory
     if args.dot:
         raise InputError("--statistics is no graph; leave out --dot")
     with Device.open(args.statistics, statistics=True) as device:
@@ -32,14 +32,17 @@ def _statistics(args, variants) -> None:
             raise DeviceError(f"{device.name} ({device.driver}) does not tell what it compiles: it has no "
                               "VK_KHR_pipeline_executable_properties")
         told = {b.profile: compiled(device, b) for b in variants}
+        memory = {b.profile: image_memory(device, b) for b in variants}
         if args.json:
-            print_json({profile: [one.record() for one in made] for profile, made in told.items()})
+            print_json({profile: {"pipelines": [one.record() for one in made], "image_bytes": memory[profile][0],
+                                  "image_bytes_taken": memory[profile][1]} for profile, made in told.items()})
             return
         for profile, made in told.items():
             rows = [("", *NAMES, "ms"), *((str(one.place or "-"), *("-" if (x := one.told(name)) is None else f"{x:g}" for name in NAMES),
                                            f"{one.ms:.0f}") for one in made)]
             widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-            print(f"profile {profile} on {device.name}, {device.driver}")
+            raw, taken = memory[profile]
+            print(f"profile {profile} on {device.name}, {device.driver}: images of {raw / 1e6:.2f} MB take {taken / 1e6:.2f} MB")
             for first, *rest in rows:
                 print(first.ljust(widths[0]), *(x.rjust(width) for x, width in zip(rest, widths[1:])))
 

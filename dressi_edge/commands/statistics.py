@@ -9,7 +9,9 @@ import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from ..cache import vulkan as v
 from ..cache.errors import DeviceError
+from ..cache.summary import image_bytes
 from ..runtime import vk
 from ..runtime.pipelines import Pipelines
 
@@ -87,17 +89,36 @@ class _Timed(Pipelines):
 def compiled(device, bundle) -> list[Compiled]:
     """Every pipeline of the bundle (one variant), compiled on the device: no cache, no images. Raises DeviceError where the device cannot
     make one."""
-    d = bundle.description
-    able = [f for f in d["depth_formats"] if device.format_features(f)[1] & vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT]
-    if not able and not all(image["format"] for image in d["images"]):
-        raise DeviceError(f"none of the depth formats {d['depth_formats']} is a depth attachment of {device.name}")
-    where = places(d)
-    made = _Timed(device, bundle, able[0] if able else 0)
+    where = places(bundle.description)
+    made = _Timed(device, bundle, _depth_format(device, bundle.description))
     try:
         return [Compiled(where.get(k), ms, _executables(device, pipeline))
                 for k, (pipeline, ms) in enumerate(zip(made.pipelines, made.ms))]
     finally:
         made.close()
+
+
+def _depth_format(device, d: dict) -> int:
+    able = [f for f in d["depth_formats"] if device.format_features(f)[1] & vk.VK_FORMAT_FEATURE_DEPTH_STENCIL_ATTACHMENT_BIT]
+    if not able and not all(image["format"] for image in d["images"]):
+        raise DeviceError(f"none of the depth formats {d['depth_formats']} is a depth attachment of {device.name}")
+    return able[0] if able else 0
+
+
+def image_memory(device, bundle) -> tuple[int, int]:
+    """Bytes of all images of the bundle: their texels alone, and as the device lays them out. Nothing is allocated."""
+    d, raw, taken = bundle.description, 0, 0
+    depth = _depth_format(device, d)
+    for record in d["images"]:
+        image = vk.CreateImage(device.device, vk.VkImageCreateInfo(
+            imageType=vk.VK_IMAGE_TYPE_2D, format=record["format"] or depth, extent=(record["width"], record["height"], 1), mipLevels=1,
+            arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
+            usage=record["usage"] | (v.USAGE_TRANSFER_DST if record["format"] else 0), sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE,
+            initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
+        raw += image_bytes(record) * record["slots"]
+        taken += vk.GetImageMemoryRequirements(device.device, image).size * record["slots"]
+        vk.DestroyImage(device.device, image)
+    return raw, taken
 
 
 def _executables(device, pipeline: int) -> tuple:
