@@ -109,6 +109,12 @@ def test_what_is_malformed_is_refused_in_the_words_of_the_other_reader(player):
         assert found == python_says(data) and found[0] == BUNDLE, name
 
 
+def alike(told: tuple[int, str], wanted: tuple[int, str]) -> bool:
+    """The same code and words, but for letters beyond ASCII, which C writes as numbers, and where one block of several is named."""
+    ambiguous = "need not run before it" in told[1] and "need not run before it" in wanted[1]
+    return told == wanted or told[0] == wanted[0] and (ambiguous or not wanted[1].isascii())
+
+
 def same_judgement(player, mutations: int, seed: int) -> tuple[int, int]:
     """How many mutated bundles both readers refused, and accepted: each in the same words."""
     fuzz = fuzz_bundle.Fuzz(seed)
@@ -116,7 +122,7 @@ def same_judgement(player, mutations: int, seed: int) -> tuple[int, int]:
     found = player.judge(made)
     for data, told in zip(made, found, strict=True):
         wanted = python_says(data)
-        assert told == wanted or not wanted[1].isascii() and told[0] == wanted[0], (told, wanted)
+        assert alike(told, wanted), (told, wanted)
     return sum(code > 0 for code, _ in found), sum(code == 0 for code, _ in found)
 
 
@@ -150,12 +156,12 @@ def damaged_shaders(seed: int, count: int):
 
 
 def same_judgement_of_shaders(player, modules) -> tuple[int, int]:
-    """How many both readers refused and accepted. Of several uses that nothing dominates Python names any."""
+    """How many both readers refused and accepted."""
     made = [with_shader(module) for module in modules]
     found = player.judge(made)
     for data, told in zip(made, found, strict=True):
         wanted = python_says(data)
-        assert told == wanted or "need not run before it" in told[1] and "need not run before it" in wanted[1], (told, wanted)
+        assert alike(told, wanted), (told, wanted)
     return sum(code > 0 for code, _ in found), sum(code == 0 for code, _ in found)
 
 
