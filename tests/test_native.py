@@ -428,7 +428,7 @@ def test_memory_that_is_not_there_leaves_the_session_usable_or_none(gpu, player,
             session.step(1, "walk")
             after[n] = session.get("a").tobytes()
     found = set()
-    for number in (1, 2, 3, 5, 8):
+    for number in (1, 3, 6):
         failing = f"{call}:{number}:{OUT_OF_DEVICE_MEMORY}"
         done = player.shimmed("run", FOLDER / "states.dressi", *STEPPED, tmp_path / "a", SHIM_FAIL=failing)
         if not done.stdout:
@@ -445,7 +445,7 @@ def test_memory_that_is_not_there_leaves_the_session_usable_or_none(gpu, player,
 @pytest.mark.parametrize("call", ["QueueSubmit", "WaitForFences", "BeginCommandBuffer", "AllocateCommandBuffers"])
 def test_a_lost_device_closes_the_session_and_says_so(player, tmp_path, call):
     failed = 0
-    for number in range(1, 12):
+    for number in (1, 2, 4, 6, 9):
         done = player.shimmed("run", FOLDER / "states.dressi", "try", "step:walk", 1, "try", "get:a", tmp_path / "a",
                               "try", "save:.", tmp_path / "c", SHIM_FAIL=f"{call}:{number}:{DEVICE_LOST}")
         lines = done.stdout.splitlines()
