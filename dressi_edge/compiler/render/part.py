@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ...cache.errors import InputError
-from ..graph.ir import Node
+from ..graph.ir import Node, topological
 from ..graph.ops.join import join
 from ..io.mesh import NORMALS, Mesh
 from .camera import ViewTable, to_clip
@@ -48,6 +48,11 @@ class Part:
     def topology(self) -> Topology:
         return Topology(np.asarray(self.mesh.faces), len(self.mesh.positions))
 
+    @cached_property
+    def rests(self) -> bool:
+        """Whether nothing that a session can set or update moves its vertices."""
+        return not any(n.op.stage == "leaf" and "name" in n.attrs for n in topological([self.positions]))
+
 
 @dataclass(frozen=True, eq=False)
 class Parts:
@@ -80,9 +85,18 @@ class Parts:
         return None if len(self.parts) == 1 else Span(self.parts[k].topology, self.first_face[k])
 
     def clip(self, views: ViewTable) -> Node:
-        """Clip coordinates of all vertices, a view-major table."""
-        joined = None
-        for part in self.parts:
-            clip = to_clip(part.positions, views)
+        """Clip coordinates of all vertices, a view-major table. Neighbours that both move, or both rest, are projected together; what
+        rests is projected once, before anything runs."""
+        joined, runs = None, [[self.parts[0]]]
+        for part in self.parts[1:]:
+            if part.rests == runs[-1][0].rests:
+                runs[-1].append(part)
+            else:
+                runs.append([part])
+        for run in runs:
+            positions = run[0].positions
+            for part in run[1:]:
+                positions = join(positions, part.positions)
+            clip = to_clip(positions, views)
             joined = clip if joined is None else join(joined, clip, views.count)
         return joined
