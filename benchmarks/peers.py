@@ -224,7 +224,8 @@ def part_shading(run: Run) -> Iterator[dict]:
     drawn = {}
     for key, settings in (("texture", {}), ("lambert", {"shading": "lambert", "lights": LIGHTS}),
                           ("srgb", {"shading": "lambert", "lights": LIGHTS, "srgb": True})):
-        problem = Problem(mesh, [camera], **settings)
+        stored = replace(mesh, texture=linear_to_srgb(mesh.texture)) if key == "srgb" else mesh  # which decodes it
+        problem = Problem(stored, [camera], **settings)
         problem.render(softness=HARD)
         with run.open(problem) as session:
             drawn[key] = session.get("render.color").reshape(-1, 4).astype(np.float64)

@@ -253,7 +253,7 @@ def label(stage, problem: Problem) -> tuple[str, str]:
         return name, "raster"
     if name in GATHERS:
         return name, "gather"
-    atlas = problem.all_views.extent
+    atlas = problem.scene.atlas.extent
     extent = stage.substages[0].extent
     return name, "pixel" if extent.width * atlas.height == atlas.width * extent.height else "table"
 

@@ -100,7 +100,7 @@ def measure(name: str, problem: Problem, steps: int, targets: np.ndarray, device
             made = problem.compile(options.profile, path, storage=storage)
             tiled = build(problem.program, Profile.load(TILED), Options(storage=storage)).description
             counts, counts_tiled = summary(made)["step"], summary(tiled)["step"]
-            extent = problem.all_views.extent
+            extent = problem.scene.atlas.extent
             rows[storage] = {"case": name, "storage": storage, "MB": rounded(counts["bytes_per_step"] / 1e6),
                              f"MB {TILED}": rounded(counts_tiled["bytes_per_step"] / 1e6), "passes": counts["stages"],
                              f"passes {TILED}": counts_tiled["stages"], "bytes": rounded(written(tiled, extent.width * extent.height))}
