@@ -13,6 +13,7 @@ import numpy as np
 from ...cache.errors import InputError
 from ..graph.functions import compose, constant_table, dot, lookup, maximum, normalize, sqrt
 from ..graph.ir import Node
+from ..graph.optable import as_node
 from .normals import unit_face_normals, vertex_normals
 from .texture import sample_texture
 
@@ -120,9 +121,9 @@ class Surface:
         return compose(*(dot(row.xyz, self.normal) for row in rows))
 
     @property
-    def step(self) -> Node | None:
-        """The step of the phase that the frame belongs to, an int of extent 1x1; None where it belongs to none."""
-        return self.frame.step
+    def step(self) -> Node:
+        """The step of the phase that the frame belongs to, an int of extent 1x1; 0 where it belongs to none."""
+        return as_node(0) if self.frame.step is None else self.frame.step
 
     def vertex(self, table: Node) -> Node:
         """An attribute of the part's vertices: a float or vec table of as many entries. Raises InputError."""
