@@ -234,7 +234,7 @@ class _Declarations:
         if stage == v.STAGE_FRAGMENT and ORIGIN not in self.modes:
             m.fail("is a fragment shader without OriginUpperLeft")
         storages = {x: storage for x, storage, _ in m.variables}
-        for x in m.listed:
+        for x in sorted(m.listed):
             if storages.get(x) not in (INPUT, OUTPUT):
                 m.fail(f"has an entry point that names id {x}, which is no input or output")
         for x, marks in self.decorations.items():
