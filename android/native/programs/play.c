@@ -136,24 +136,25 @@ static void show_progress(const char *phase, uint64_t done, uint64_t steps, cons
 
 /* Steps a phase and says how it goes on a terminal; false if it was stopped. */
 static bool run_phase(Call *call, dressi_session *s, const char *phase, uint64_t steps, double end) {
-    uint64_t done = 0, every = steps / POINTS ? steps / POINTS : 1, timed = 0;
-    double spent = 0;
-    float loss = 0, first = 0;
     dressi_error error;
     bool lossy = has_loss(s, phase), shown = isatty(2);
+    uint64_t done = 0, every = !shown ? steps : steps / POINTS ? steps / POINTS : 1, timed = 0;
+    double spent = 0;
+    float loss = 0, first = 0;
     check(call, dressi_step(s, 0, phase, NULL, NULL, &error), &error);
     if (lossy) check(call, dressi_loss(s, &first, &error), &error);
     while (done < steps && !stopped) {
-        uint64_t ran, wanted = every < steps - done ? every : steps - done;
+        uint64_t ran, wanted = !done ? 1 : every < steps - done ? every : steps - done;
         double begin = seconds_now();
         dressi_bound bound = {end > 0 ? (end > begin ? end - begin : 0) : -1, is_stopped, NULL};
         check(call, dressi_step(s, wanted, phase, &bound, &ran, &error), &error);
         if (done) spent += seconds_now() - begin, timed += ran; /* the first holds the driver's compilation */
         done += ran;
-        if (lossy) check(call, dressi_loss(s, &loss, &error), &error);
+        if (lossy && shown) check(call, dressi_loss(s, &loss, &error), &error);
         if (shown) show_progress(phase, done, steps, lossy ? &loss : NULL, timed ? spent / (double)timed : 0);
         if (ran < wanted) break;
     }
+    if (lossy && !shown) check(call, dressi_loss(s, &loss, &error), &error);
     if (shown) fprintf(stderr, "\n");
     printf("%s: %llu steps", phase, (unsigned long long)done);
     if (lossy) printf(", loss %.6g -> %.6g", first, loss);
