@@ -401,9 +401,8 @@ def test_numbers_that_fp32_does_not_hold_are_an_error_before_anything_is_compile
         targets = np.zeros((2, 17, 20, 4))
         targets[1, 3, 4, 2] = -1e39
         Program().input("targets", Layout("atlas", "vec4", 20, 17, 2), targets)
-    problem = small_problem(background=(0.0, 1e39, 0.0))
-    with pytest.raises(InputError, match="literal .*1e.39.*finite in fp32"):
-        problem.render("view")
+    with pytest.raises(InputError, match="background has 1e.39 in it; numbers that are finite in fp32"):
+        small_problem(background=(0.0, 1e39, 0.0))
 
 
 @pytest.mark.parametrize("gradient", ["exact", "inverse_uv"])

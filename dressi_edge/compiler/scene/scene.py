@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cache.errors import DressiError, InputError
-from ...cache.layout import Layout
+from ...cache.layout import Layout, beyond_fp32
 from ...cache.profile import Profile
 from ..graph.autodiff import gradients
 from ..graph.functions import apply, compose, constant, constant_table, dot, lookup, total
@@ -124,6 +124,8 @@ class Scene:
             raise InputError(f"{who} has type {array.dtype}; integers are needed")
         if not np.isfinite(array).all():
             raise InputError(f"{who} has NaN or Inf in it; finite numbers are needed")
+        if not integer and beyond_fp32(array).any():
+            raise InputError(f"{who} has {np.abs(array).max():g} in it; numbers that are finite in fp32 are needed")
         return array
 
     def padded(self, pictures: Sequence[np.ndarray], fill: float = 0.0) -> np.ndarray:
