@@ -77,7 +77,7 @@ def package(out: Path, lib: Path, assets: Path | None) -> Path:
     """The APK, signed and checked."""
     bare, dex, unsigned, signed, key = (out / name for name in ("bare.apk", "classes.dex", "unsigned.apk", "dressi.apk", "debug.p12"))
     run("aapt", "package", "-f", "-M", APP / "AndroidManifest.xml", "-S", APP / "res", "-I", FRAMEWORK, "-F", bare)
-    run("java", "-jar", SMALI, "assemble", "--api", API, "--output", dex, HERE / "smali" / "dressi")
+    run("java", "-jar", SMALI, "assemble", "--jobs", 1, "--api", API, "--output", dex, HERE / "smali" / "dressi")  # in one order
     with zipfile.ZipFile(bare) as made:
         files = {name: made.read(name) for name in made.namelist()}
     files |= {"classes.dex": dex.read_bytes(), "lib/arm64-v8a/libdressi.so": lib.read_bytes()}
