@@ -102,7 +102,7 @@ class Frame:
             color = shaded(part.material, s, self._who(k))
             color = near_faces(s.face_over_views, self.encode(color) if self.encode else color)
             total = color if total is None else select(s.inside, color, total)
-        return total
+        return total if len(self.parts.parts) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
 
     @cached_property
     def mask(self) -> Node:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import UNIT, Extent, Node, image
-from ..optable import Loop, apply, as_node, at, flag, op
+from ..optable import Loop, apply, as_node, at, flag, op, zero
 
 BLOCK = 32
 
@@ -210,7 +210,7 @@ op("edge_mask", "across tiles", attrs=_WINDOW, infer=_window_infer, reads="texel
    doc="Edge mask E (paper 3.4.3): covered and other pixels in the window. Rows first by covered_window, then columns here.")
 
 op("inside_tiles", "value tiles", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[0].extent), reads="own tile", cost=2,
-   when=flag(1), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",
+   when=flag(1) + zero(0), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",
    ref=lambda value, tiles, tile: np.where(spread(tiles, value.shape[1], value.shape[0], tile) != 0, value, 0),
    vjp=lambda g, y, value, tiles, tile: (apply("inside_tiles", g, tiles, tile=tile), None),
    sample=lambda rng: ([rng.normal(size=(20, 35, 3)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),

@@ -68,7 +68,7 @@ class ContourFragments(OutlineFragments):
     def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
         """On the far side of a contour the edge's colour over the pixel's own, on the near side the pixel's own over that of the pixel
         across; and all of it over the background as equation 5 says. What lies across has no gradient of its own."""
-        own, rim = shaded
+        own, rim = shaded[0], near_faces(self.layers[0].face, shaded[1])  # so that one pass can leave out what shows nothing
         across = stop_gradient(apply("fetch", apply("broadcast", own, extent=self.atlas.extent), self.beyond))
         front, behind = select(self.outer, rim, own), select(self.outer, own, across)
         both = select(self.beside, front * self.nearer + behind * (1.0 - self.nearer), own)
