@@ -17,3 +17,13 @@ def shared_dir():
     if not SHARED.is_dir():
         pytest.skip("no folder shared/ beside the checkout: its data sets and meshes are not in the repository")
     return SHARED
+
+
+@pytest.fixture
+def own_ops():
+    """What a test adds to the op table is gone after it."""
+    from dressi_edge.compiler.graph.optable import OPS
+    before = set(OPS)
+    yield
+    for name in set(OPS) - before:
+        del OPS[name]

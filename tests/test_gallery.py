@@ -31,7 +31,7 @@ def load(path):
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: p.stem)
-def test_a_program_recovers_what_it_says(path, tmp_path):
+def test_a_program_recovers_what_it_says(path, tmp_path, own_ops):
     options, right = SMALL[path.stem]
     found = load(path).main(str(tmp_path), **options)
     assert right(found), found

@@ -9,7 +9,7 @@ def blocks(page):
     return re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.S)
 
 
-def test_every_block_of_the_guide_runs(tmp_path, monkeypatch, capsys):
+def test_every_block_of_the_guide_runs(tmp_path, monkeypatch, capsys, own_ops):
     monkeypatch.chdir(tmp_path)
     names = {}
     found = blocks("guide.md")
