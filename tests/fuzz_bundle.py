@@ -51,7 +51,7 @@ def mutate_fields(d: dict, r: random.Random) -> None:
         old = x[key]
         kind = r.randrange(8)
         if kind < 2 and type(old) is int:
-            x[key] = old + r.choice((-2, -1, 1, 2))
+            x[key] = min(max(old + r.choice((-2, -1, 1, 2)), -2 ** 63), 2 ** 64 - 1)  # what msgpack can write
         elif kind < 4:
             x[key] = r.choice(NUMBERS)
         elif kind == 4:
