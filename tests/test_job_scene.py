@@ -9,12 +9,13 @@ from jobs import command
 from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
 from dressi_edge.commands import run
-from dressi_edge.compiler.graph.functions import compose
+from dressi_edge.compiler.graph.functions import compose, constant_table
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.meshes import load_parts
 from dressi_edge.compiler.io.writers import save_mesh, save_png
 from dressi_edge.compiler.scene import Scene, Texture, Unlit, Vertex, icosphere, orbit, pear, results
 from dressi_edge.compiler.scene.job import parse_job
+from dressi_edge.compiler.scene.pieces import parts_of, record
 
 pytest_plugins = ["gpu"]
 PEAR = pear(32)
@@ -179,3 +180,14 @@ def test_what_a_reference_session_found_is_told_as_that_of_a_device(folder):
     problem.program.meta.update(problem.record())
     with ReferenceSession(problem.program) as session:
         assert np.allclose(results._found(session)["parameters"]["ball.translation"], [0.42, 0.3, 0.42])
+
+
+def test_a_part_that_rests_elsewhere_than_its_mesh_is_written_where_it_is(gpu):
+    """Constant positions are what the scene says, not what the mesh file said."""
+    s = Scene(orbit(1, [20], 3.2, 40, (40, 30)))
+    s.add(BALL, constant_table(BALL.positions + AT), name="ball")
+    s.output("look", alpha=s.frame().alpha)
+    s.program.meta.update(record(s))
+    with runtime.load(gpu.compile(s.program), gpu.device) as session:
+        ball, = parts_of(session)
+    np.testing.assert_allclose(ball.mesh.positions, BALL.positions + AT, atol=1e-12)

@@ -175,6 +175,11 @@ def corner_normals(mesh: Mesh, kind: str) -> np.ndarray:
     return np.where(length > 0.0, weighted / np.maximum(length, 1e-300), (0.0, 0.0, 1.0))[mesh.faces]
 
 
+def middle_of(positions: np.ndarray) -> np.ndarray:
+    """(3,) float64: the middle of the bounding box of positions (n, 3)."""
+    return (positions.min(axis=0) + positions.max(axis=0)) / 2.0
+
+
 def origin_of(positions: np.ndarray) -> np.ndarray:
     """(3,) float64: the middle of the bounding box of positions (n, 3) that are far from the origin for their extent, else zero."""
     low, high = positions.min(axis=0), positions.max(axis=0)

@@ -17,7 +17,7 @@ from .bake import Surface, baked
 from .gltf import read_gltf
 from .images import linear_to_srgb, srgb_to_linear
 from .materials import Part
-from .mesh import Mesh, face_normals, unique_rows
+from .mesh import Mesh, face_normals, middle_of, unique_rows
 from .obj import read_obj
 from .pieces import MAX_BYTES, Corners, Piece, Pieces, listed
 from .plain import read_off, read_stl
@@ -250,7 +250,7 @@ def _warn_of_more(path: Path, parts: Sequence[Piece]) -> None:
 def normalize(mesh: Mesh, radius: float = 1.0) -> Mesh:
     """The mesh moved so that the bounding box of what its faces use is centred on the origin, the furthest of it at `radius`."""
     used = mesh.positions[np.unique(mesh.faces)]
-    centre = (used.min(axis=0) + used.max(axis=0)) / 2.0
+    centre = middle_of(used)
     size = float(np.linalg.norm(used - centre, axis=1).max())
     if size == 0.0:
         raise InputError("mesh has all its vertices in one point; it cannot be scaled into a ball")

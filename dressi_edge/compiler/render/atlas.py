@@ -3,7 +3,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..graph.ir import Extent, image
+from ..graph.functions import apply, compose
+from ..graph.ir import Extent, Node, image
 
 COMMON_SIDE = 4096  # what every device allows (Vulkan 1.0, "Required Limits", maxFramebufferWidth)
 
@@ -20,6 +21,20 @@ class Atlas:
     @property
     def extent(self) -> Extent:
         return image(self.width * self.columns, self.height * -(-self.views // self.columns))
+
+    @property
+    def view(self) -> Node:
+        """int: which view each pixel belongs to."""
+        return apply("cell_index", extent=self.extent, cell_w=self.width, cell_h=self.height)
+
+    @property
+    def position(self) -> Node:
+        """vec2: each pixel's centre from the middle of its view's cell, in pixels."""
+        return apply("cell_position", extent=self.extent, cell_w=self.width, cell_h=self.height)
+
+    def corner(self, view: Node) -> Node:
+        """ivec2: the upper left texel of a view's cell."""
+        return compose(apply("imod", view, self.columns) * self.width, apply("idiv", view, self.columns) * self.height)
 
     @staticmethod
     def of(width: int, height: int, views: int) -> Atlas:

@@ -181,7 +181,7 @@ class Frame:
     @cached_property
     def view(self) -> Node:
         """int: which view of the frame the pixel belongs to."""
-        return apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
+        return self.atlas.view
 
     def of_view(self, table: Node) -> Node:
         """The entry of a table of the frame's views that belongs to the pixel."""
@@ -195,7 +195,7 @@ class Frame:
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""
         a = self.atlas
-        return apply("cell_position", extent=a.extent, cell_w=a.width, cell_h=a.height) + compose(a.width / 2, a.height / 2)
+        return a.position + compose(a.width / 2, a.height / 2)
 
     @cached_property
     def valid(self) -> Node:
@@ -233,8 +233,5 @@ class Frame:
             return image
         if image.extent != self.all_views.extent:
             raise InputError(f"{image!r} is no image over all views of the scene, which is {self.all_views.extent}")
-        columns, width, height = self.all_views.columns, self.atlas.width, self.atlas.height
-        corner = compose(apply("imod", self.chosen, columns) * width, apply("idiv", self.chosen, columns) * height)
-        own = apply("cell_position", extent=self.atlas.extent, cell_w=width, cell_h=height) + compose(width / 2, height / 2)
-        return apply("fetch", image, to_int(own) + corner)
+        return apply("fetch", image, to_int(self.pixel) + self.all_views.corner(self.chosen))
 

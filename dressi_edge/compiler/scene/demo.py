@@ -17,9 +17,9 @@ from ..render.optimizer import Adam
 from ..render.raster import Softness
 from ..render.schedule import Schedule
 from .problem import Loss, Problem
+from .sections import SHARP
 
 VIEWS = 6
-SHARP = Softness(1.0, delta=0.0)
 LIGHTS = (Light("directional", 2.2, (-0.5, -0.8, -0.45)), Light("directional", 0.9, (0.7, 0.2, 0.6)), Light("ambient", 0.16))
 
 

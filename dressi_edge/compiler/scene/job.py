@@ -17,12 +17,11 @@ from ...cache.profile import Profile
 from ..io.images import srgb_to_linear
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.text import bounded, read_bytes, shown
-from ..render.raster import Softness
 from . import sense
 from .job_scene import SceneJob, parse_scene
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
-from .sections import MESH, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
 
 if sys.version_info >= (3, 11):
@@ -31,7 +30,6 @@ else:
     import tomli as tomllib
 
 MAX_FILE_BYTES = 1 << 20
-SHARP = Softness(1.0, delta=0.0)  # of the plan "render": about as soft as a pixel's own area
 MAX_PHASE_NAME = 100
 
 

@@ -15,17 +15,16 @@ import numpy as np
 
 from ...cache.errors import InputError
 from ...cache.profile import Profile
-from ..graph.functions import compose, constant_table, dot
+from ..graph.functions import compose, constant_table
 from ..graph.ir import Node
-from ..graph.optable import as_node
 from ..graph.program import Program
 from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
 from ..io.images import srgb_to_linear
-from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, origin_of
+from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
 from ..render import loss as losses
-from ..render.camera import rotation_rows
 from ..render.frame import Frame
+from ..render.geometry import similarity
 from ..render.light import Light
 from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
@@ -37,10 +36,9 @@ from . import sense
 from .limits import fits_views
 from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
-from .sections import MESH, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
 
-SHARP = Softness(1.0, delta=0.0)  # of the plan "render": about as soft as a pixel's own area
 MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss")}
 COLORS = ("texture", "colors")
 POSES = ("rotation", "translation", "scale")
@@ -173,7 +171,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
 
 def _placed(p: _PartTable, mesh: Mesh) -> Mesh:
     """The mesh where the part's own pose puts it (`_Builder._positions`)."""
-    middle = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0
+    middle = middle_of(mesh.positions)
     turned = (mesh.positions - middle) @ rotation_matrix(p.pose.get("rotation", np.zeros(3))).T * p.pose.get("scale", 1.0)
     return replace(mesh, positions=middle + turned + p.pose.get("translation", np.zeros(3))) if p.pose else mesh
 
@@ -285,18 +283,11 @@ class _Builder:
         name, start = p.name, {"rotation": np.zeros(3), "translation": np.zeros(3), "scale": 1.0, **p.pose}
         free = f"{name}.vertices" in self.optimized
         x = self.scene.parameter(f"{name}.vertices", mesh.positions, kind="table") if free else constant_table(mesh.positions)
-        posed = {key for key in POSES if f"{name}.{key}" in self.optimized or key in p.pose}
-        if not posed:
+        if not any(f"{name}.{key}" in self.optimized or key in p.pose for key in POSES):
             return x, free
-        pivot = compose(*map(float, (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0))
-        value = {key: self.scene.parameter(f"{name}.{key}", start[key], *LIMITS.get(key, ())) if f"{name}.{key}" in self.optimized else
-                 as_node(start[key]) if key == "scale" else compose(*map(float, start[key])) for key in posed}
-        d = x - pivot
-        if "rotation" in value:
-            d = compose(*(dot(row, d) for row in rotation_rows(value["rotation"])))
-        if "scale" in value:
-            d = d * value["scale"]
-        return d + (pivot + value["translation"] if "translation" in value else pivot), True
+        at = {key: self.scene.parameter(f"{name}.{key}", value, *LIMITS.get(key, ())) if f"{name}.{key}" in self.optimized else value
+              for key, value in start.items()}
+        return similarity(x, at["rotation"], at["translation"], at["scale"], middle_of(mesh.positions)), True
 
     def _color(self, p: _PartTable, mesh: Mesh):
         named, color = p.name + ".", p.settings["color"]
@@ -320,21 +311,11 @@ class _Builder:
         """The lights, of which every part that is lit shares the parameters."""
         if not self.lights:
             raise InputError(f"material.kind is {p.kind!r}, but there is no [[light]]; give at least one")
-        found = []
-        for k, light in enumerate(self.lights):
-            known = {}
-            for key in ("power", "vector"):
-                if getattr(light, key) is not None:
-                    name = f"light{k}.{key}"
-                    parameter = self.scene.parameters.get(name)
-                    known[key] = self.scene.parameter(name, getattr(light, key)) if parameter is None else parameter.node
-            found.append(replace(light, **known))
-        return found
+        return self.scene.lit(self.lights)
 
     def cameras(self, meshes: Sequence[Mesh]) -> tuple[float, float, float]:
         """Cameras that move where a phase says so, about the middle of all parts; that point."""
-        corners = np.concatenate([m.positions for m in meshes])
-        middle = tuple(map(float, (corners.min(axis=0) + corners.max(axis=0)) / 2.0))
+        middle = tuple(map(float, middle_of(np.concatenate([m.positions for m in meshes]))))
         if {"camera.rotation", "camera.translation"} & self.optimized:
             zero = np.zeros((len(self.scene.cameras), 3))
             turn, shift = (self.scene.parameter(f"camera.{key}", zero, kind="table") for key in ("rotation", "translation"))

@@ -11,6 +11,8 @@ import numpy as np
 
 from ...cache.errors import BundleError
 from ..graph.ir import Node
+from ..graph.program import Program
+from ..io.cameras import Camera
 from ..io.images import linear_to_srgb, srgb_to_linear
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
@@ -54,6 +56,13 @@ def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Lig
     return {"origin": origin.tolist(), "points": points} if origin.any() else {}
 
 
+def seen_meta(program: Program, phases: Sequence[str], cameras: Sequence[Camera], size: tuple[int, int], images) -> dict:
+    """The meta of what is fitted to: phases with their steps, names of the pictures (or None), their size, cameras."""
+    return {"phases": [[spec.name, spec.steps] for spec in program.plans if spec.name in phases],
+            "images": list(images or (f"view {k}" for k in range(len(cameras)))), "image_size": list(size),
+            "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far] for c in cameras]}
+
+
 def record(scene, images: Sequence[str] | None = None) -> dict:
     """The meta of a scene: its parts with what their colours are, phases, cameras, names of its pictures. Adds the plan "geometry", whose
     outputs are the positions that are worked out from parameters."""
@@ -69,17 +78,16 @@ def record(scene, images: Sequence[str] | None = None) -> dict:
         if part.positions in names:
             found["positions"] = names[part.positions]
         elif part.positions.op.name == "constant":
-            found["positions"] = pack(np.asarray(part.mesh.positions), "<f8")
+            rows = part.positions.attrs["data"].array.reshape(-1, 3)[:part.positions.extent.count]
+            found["positions"] = pack(rows, "<f8")
         else:
             derived[part.name] = part.positions
             found["positions"] = f"{GEOMETRY}.{part.name}"
         parts.append(found)
     if derived and not any(plan.name == GEOMETRY for plan in scene.program.plans):
         scene.output(GEOMETRY, **derived)
-    cameras = [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far] for c in scene.cameras]
-    return {"parts": parts, "phases": [[spec.name, spec.steps] for spec in scene.program.plans if spec.name in scene.phases],
-            "images": list(images or (f"view {k}" for k in range(len(cameras)))), "image_size": [scene.width, scene.height],
-            "cameras": cameras, "linear_albedo": scene.encode is not None, **scene.program.meta}
+    seen = seen_meta(scene.program, scene.phases, scene.cameras, (scene.width, scene.height), images)
+    return {"parts": parts, **seen, "linear_albedo": scene.encode is not None, **scene.program.meta}
 
 
 def _color(source, names: Mapping[Node, str]) -> dict:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import Camera
 from ..io.frame import recentred
-from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
+from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of
 from ..io.views import Views
 from ..render import loss as terms
 from ..render.frame import Frame
@@ -129,7 +129,7 @@ class Problem:
             raise InputError("no cameras; at least one view is needed")
         if len(sizes := {(c.width, c.height) for c in self.cameras}) > 1:
             raise InputError(f"cameras have sizes {sorted(sizes)}; one size is needed")
-        self.pivot = tuple(map(float, (self.mesh.positions.min(axis=0) + self.mesh.positions.max(axis=0)) / 2.0))
+        self.pivot = tuple(map(float, middle_of(self.mesh.positions)))
         self.scene = s = Scene(self.cameras, self.background, encode_srgb if self.srgb else None, self.program)
         self.width, self.height = s.width, s.height
         self.parameters: dict[str, Node] = {"vertices": s.parameter("vertices", self.mesh.positions, kind="table")}
@@ -138,7 +138,8 @@ class Problem:
         for name in ("rotation", "translation"):
             self.parameters[name] = s.parameter(name, np.zeros((n, 3)), kind="table")
         s.pose_cameras(self.parameters["rotation"], self.parameters["translation"], self.pivot)
-        lights = [self._light(k, light) for k, light in enumerate(self.lights)]
+        lights = s.lit(self.lights)
+        self.parameters |= {name: p.node for name, p in s.parameters.items() if name.startswith("light")}
         material = Lambert(color, lights) if self.shading == "lambert" else Unlit(color)
         self.part = s.add(self.mesh, self.parameters["vertices"], material, "mesh", self.normals)
         self.topology = self.part.topology
@@ -163,15 +164,6 @@ class Problem:
         texture = np.full((*self.texture_size[::-1], 3), 0.5) if mesh.texture is None else mesh.texture
         self.parameters["texture"] = s.parameter("texture", texture, 0.0, 1.0, kind="image")
         return Texture(self.parameters["texture"], self.wrap, self.texture_grad)
-
-    def _light(self, k: int, light: Light) -> Light:
-        """The light with parameters for numbers."""
-        parts = {}
-        for key in ("power", "vector"):
-            if getattr(light, key) is not None:
-                name = f"light{k}.{key}"
-                parts[key] = self.parameters[name] = self.scene.parameter(name, getattr(light, key))
-        return replace(light, **parts)
 
     def phase(self, name: str, steps: int, optimize: Mapping[str, Optimizer], losses: Sequence[Loss | Callable],
               softness: Softness | None = None) -> None:

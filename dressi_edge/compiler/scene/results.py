@@ -17,7 +17,7 @@ from ..io.images import linear_to_srgb
 from ..io.mesh import Mesh
 from ..io.views import Views
 from ..io.writers import contact_sheet, loss_curve, save_json, save_mesh, save_parts
-from .pieces import frame_meta, origin_in, pack, parts_of, unpack
+from .pieces import frame_meta, origin_in, pack, parts_of, seen_meta, unpack
 
 SHOWN = 8  # views in a contact sheet
 
@@ -29,16 +29,12 @@ def _unpack(meta: Mapping, name: str, kind: str, columns: int) -> np.ndarray | N
 
 def record(problem) -> dict:
     """The meta of a `Problem`: plain values that a bundle holds."""
-    mesh, cameras = problem.mesh, problem.cameras
-    names = problem.views.names if isinstance(problem.views, Views) else tuple(f"view {k}" for k in range(len(cameras)))
+    mesh, names = problem.mesh, problem.views.names if isinstance(problem.views, Views) else None
     meta = {"linear_albedo": problem.srgb, "linear_images": False, **problem.program.meta}  # linear: not sRGB encoded
     meta |= {"faces": pack(mesh.faces, "<i4"), "albedo": problem.albedo,
              "albedo_color": [float(x) for x in problem.albedo_color],
-             "phases": [[spec.name, spec.steps] for spec in problem.program.plans if spec.name in problem.phases],
-             "images": list(names), "image_size": [problem.width, problem.height],
-             "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far]
-                         for c in cameras],
              "pivot": list(problem.pivot), "shading": problem.shading, "wrap": problem.wrap}
+    meta |= seen_meta(problem.program, problem.phases, problem.cameras, (problem.width, problem.height), names)
     meta |= frame_meta(problem.origin, ["vertices"], problem.lights)
     if mesh.uvs is not None:
         meta |= {"uvs": pack(mesh.uvs, "<f8"), "uv_faces": pack(mesh.uv_faces, "<i4")}

@@ -17,7 +17,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from ..io.meshes import Mesh
 from ..render.atlas import Atlas
 from ..render.camera import fixed_views, posed_views
 from ..render.frame import Frame
+from ..render.light import Light
 from ..render.material import Unlit
 from ..render.optimizer import Optimizer
 from ..render.part import Part, Parts
@@ -177,6 +178,18 @@ class Scene:
         if self._frames:
             raise InputError("cameras are posed after a frame was made; pose them first")
         self.views = posed_views(fixed_views(self.cameras, (self.width, self.height)), rotation, translation, pivot)
+
+    def lit(self, lights: Sequence[Light]) -> list[Light]:
+        """The lights with the parameters `light0.power`, `light0.vector`, ... for their numbers, made where they are missing."""
+        found = []
+        for k, light in enumerate(lights):
+            own = {}
+            for key in ("power", "vector"):
+                name, start = f"light{k}.{key}", getattr(light, key)
+                if start is not None:
+                    own[key] = self.parameters[name].node if name in self.parameters else self.parameter(name, start)
+            found.append(replace(light, **own))
+        return found
 
     def step(self, phase: str) -> Node:
         """How many steps of a phase are done: an int of extent 1x1."""

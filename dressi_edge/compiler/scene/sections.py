@@ -16,6 +16,7 @@ from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from .tables import NEEDED, Table
 
+SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
 ADAM = ("rate", "betas", "epsilon")

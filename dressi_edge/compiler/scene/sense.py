@@ -12,7 +12,7 @@ import numpy as np
 
 from ...cache.errors import InputError, note
 from ..io.cameras import Camera, inverse_rigid
-from ..io.mesh import Mesh
+from ..io.mesh import Mesh, middle_of
 from ..io.text import shown
 from ..io.views import Views
 
@@ -251,7 +251,7 @@ def _why(mesh: Mesh, cameras: Sequence[Camera], found: Sight, best: tuple[str, s
                 f"set near = {found.depth[0] / 2.0:.2g} or less")
     if best is not None:
         return f"{best[0]} {best[1]}"
-    centre = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0
+    centre = middle_of(mesh.positions)
     target, eyes = looked_at(cameras), np.mean([c.position for c in cameras], axis=0)
     where = "it is behind all cameras" if (found.ahead == 0.0).all() else "it is beside what the cameras see"
     return (f"{where}; its middle is at {_point(centre)}, the cameras are about {_point(eyes)} and look at about {_point(target)}; "

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...graph.functions import apply, compose, constant_table, dot, lookup, maximum, select, sigmoid, sqrt, stop_gradient, to_int
+from ...graph.functions import apply, clamp, compose, constant_table, length, lookup, maximum, select, sigmoid, stop_gradient, to_int
 from ...graph.ir import Node
 from ..atlas import Atlas
 from ..topology import Topology
@@ -47,23 +47,19 @@ class ContourFragments(OutlineFragments):
         self.beyond = self._beyond(stop_gradient(segment))
         shown = lookup(self._owners(listed, view), place - 1)
         face = select(self.outer, apply("shift_right", shown, 2), -1)
-        rim = Layer(face, select(self.outer, 0, 0), dist, select(self.outer, self.nearer, 0.0), foot, apply("bit_and", shown, 3))
+        nowhere = apply("broadcast", 0, extent=atlas.extent)  # of a pixel whose own face is another the rim is not in front
+        rim = Layer(face, nowhere, dist, select(self.outer, self.nearer, 0.0), foot, apply("bit_and", shown, 3))
         self.layers = [*self.layers, rim]
 
     def _beyond(self, segment: Node) -> Node:
         """The texel of the atlas that lies across the edge: the one that holds the point a pixel beyond its nearest point."""
-        a, b, p = segment.xy, segment.zw, self.position
-        d = b - a
-        t = apply("min", apply("max", dot(d, p - a) / maximum(dot(d, d), 1e-20), 0.0), 1.0)
-        foot = a + d * t
-        across = foot - p
-        half = compose(self.atlas.width / 2, self.atlas.height / 2)
-        at = foot + across / maximum(sqrt(dot(across, across)), 1e-10) + half
+        foot = self._foot(segment)
+        across = foot - self.position
+        middle = compose(self.atlas.width / 2, self.atlas.height / 2)
+        at = foot + across / maximum(length(across), 1e-10) + middle
         last = compose(float(self.atlas.width - 1), float(self.atlas.height - 1))
-        inside = to_int(apply("min", apply("max", apply("floor", at), 0.0), last))
-        columns = self.atlas.columns
-        corner = compose(apply("imod", self.view, columns) * self.atlas.width, apply("idiv", self.view, columns) * self.atlas.height)
-        return inside + corner
+        inside = clamp(apply("floor", at), 0.0, last)
+        return to_int(inside) + self.atlas.corner(self.view)
 
     def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
         """On the far side of a contour the edge's colour over the pixel's own, on the near side the pixel's own over that of the pixel

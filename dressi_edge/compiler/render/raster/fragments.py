@@ -61,7 +61,7 @@ def _boxes(low: Node, high: Node, exists: Node, reach: float, view: Node, atlas:
     """Half-open boxes of the atlas' pixels whose centres are within `reach` of screen bounds; empty where nothing exists."""
     half = compose(atlas.width / 2, atlas.height / 2)
     limit = compose(float(atlas.width), float(atlas.height))
-    origin = compose(apply("imod", view, atlas.columns) * atlas.width, apply("idiv", view, atlas.columns) * atlas.height)
+    origin = atlas.corner(view)
     lo = to_int(clamp(low + half - (reach - 0.5), 0.0, limit))
     hi = to_int(clamp(high + half + (reach + 0.5), 0.0, limit))
     box = compose(lo + origin, hi + origin)
@@ -113,7 +113,7 @@ class Fragments:
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         self.clip, self.topology, self.atlas, self.softness, self.near, self.faces = clip, topology, atlas, softness, near, faces
-        self.position = apply("cell_position", extent=atlas.extent, cell_w=atlas.width, cell_h=atlas.height)
+        self.position = atlas.position
         self.ends = [np.concatenate([v * topology.vertex_count + topology.edges[:, k] for v in range(atlas.views)]) for k in (0, 1)]
         self.segments = screen_segments((lookup(stop_gradient(clip), e) for e in self.ends), atlas, near)  # of all edges; no gradient
         self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
@@ -144,7 +144,13 @@ class Fragments:
         between = apply("bit_and", t > 0.0, t < 1.0)
         end = self.position - select(t < 0.5, a, b)
         far = select(between, absolute(_cross2(d, o)) / sqrt(squared), sqrt(dot(end, end)))
-        return select(hard, far, -far), select(hard, self.position, a + d * clamp(t, 0.0, 1.0))
+        return select(hard, far, -far), select(hard, self.position, self._foot(segment))
+
+    def _foot(self, segment: Node) -> Node:
+        """The point of the pixel's segment that is nearest to it."""
+        a, b = segment.xy, segment.zw
+        d = b - a
+        return a + d * clamp(dot(self.position - a, d) / maximum(dot(d, d), 1e-20), 0.0, 1.0)
 
     @property
     def face_boxes(self) -> Node:
@@ -198,7 +204,7 @@ class Fragments:
     @property
     def view(self) -> Node:
         """The view of each pixel."""
-        return apply("cell_index", extent=self.atlas.extent, cell_w=self.atlas.width, cell_h=self.atlas.height)
+        return self.atlas.view
 
     def face_in_view(self, layer: Layer, span: Span | None = None) -> Node:
         """The layer's face as its view (and the span, if given) numbers it; -1 where there is none."""
