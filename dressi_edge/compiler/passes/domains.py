@@ -8,50 +8,30 @@ drawn as far as the list goes. A plan that gives copies back ("leave") writes in
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ...cache.errors import PackError
-from ..graph.ir import Extent, Node, is_int
-from ..graph.optable import COUNT, EMPTY, NEGATIVE, TILE, VERTEX, ZERO
+from ..graph.ir import Extent, Node, is_int, topological
+from ..graph.optable import COUNT, OWN, TILE, VERTEX
+from .apart import Apart, find_apart
+from .known import Known, number
 from .plans import LEAVE, PlanGraph
 from .substage import KEPT, LISTED, TEXELS, TILES, Domain, Stage, Substage
 
 MIN_COST = 40  # work worth a test
-_IS = {ZERO: lambda x: (x == 0).all(), NEGATIVE: lambda x: (x < 0).all(), EMPTY: lambda x: x[0] >= x[1]}
 
 
 @dataclass(frozen=True)
 class Guard:
-    """Where `node` is 0 output k is `constants[k]` in every channel: 0, or -1 for integers. `cone`: what computes the node here.
-    `tile`: the node comes from outside and has one texel for so many of the substage's; whole tiles are then left undrawn."""
+    """Where `node` is 0 output k is `constants[k]` in every channel, 0, or -1 for integers, or None where nothing reads it. `cone`: what
+    computes the node here. `tile`: the node comes from outside and has one texel for so many of the substage's; whole tiles are then left
+    undrawn."""
 
     node: Node
     cone: tuple[Node, ...]
-    constants: tuple[int, ...]
+    constants: tuple[int | None, ...]
     tile: tuple[int, int] | None = None
-
-
-def constant_value(node: Node, known: Mapping[Node, np.ndarray]) -> np.ndarray | None:
-    """The constant value (channels,) of a node given constant inputs, or None."""
-    inputs = [x.op.ref(**x.attrs)[0, 0] if x.op.stage == "inline" else known.get(x) for x in node.inputs]
-    channels = np.zeros(node.channels, np.int64 if is_int(node.vtype) else np.float64)
-    for when in node.op.when:
-        if inputs[when.input] is not None and _IS[when.what](inputs[when.input]):
-            return channels + when.result
-    if node.op.chooses:
-        by, *options = inputs
-        if by is not None and by.size == 1:
-            taken = options[0] if by[0] else options[1]
-            return None if taken is None else channels + taken
-        if all(x is not None for x in options) and np.array_equal(*np.broadcast_arrays(*options)):
-            return channels + options[0]
-    if node.op.stage != "pixel" or node.op.loop or not inputs or any(x is None for x in inputs) or "texel" in node.op.reads:
-        return None
-    value = np.asarray(node.op.ref(*(x[None, None] for x in inputs), **node.attrs))[0, 0]
-    return channels + value if np.isfinite(value).all() else None
 
 
 def _cone(node: Node, inside: set[Node], order: tuple[Node, ...]) -> tuple[Node, ...]:
@@ -64,8 +44,10 @@ def _cone(node: Node, inside: set[Node], order: tuple[Node, ...]) -> tuple[Node,
     return tuple(n for n in order if n in keep)
 
 
-def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
-    """The guard that leaves most work out, by tiles if it can be, or None; one that leaves out less than `least` is none."""
+def find_guard(stage: Substage, known: Known, least: int = MIN_COST, apart: Apart = Apart(),  # noqa: B008  (frozen)
+               unread: Callable[[Node, Node], bool] = lambda x, by: False) -> Guard | None:
+    """The guard that leaves most work out, by tiles if it can be, before all by those that the graph keeps apart; or None. One that leaves
+    out less than `least` is none. apart: of the plan; unread: whether nothing reads x, an output, where a guard is zero."""
     if stage.raster:
         return None
     inside = set(stage.nodes)
@@ -73,22 +55,20 @@ def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
     conditions = dict.fromkeys(n.inputs[0] for n in stage.nodes if n.op.chooses)  # in the stage's order: the first of equals is taken
     conditions |= dict.fromkeys(n.inputs[when.input] for n in stage.nodes for when in n.op.when if when.flag)
     tiles = {x: n.attrs["tile"] for n in stage.nodes for k, x in enumerate(n.inputs) if n.op.read(k) == TILE}
+    own = {apart.tiles[n] for n in stage.nodes if n in apart.tiles} if all(n in apart.tiles for n in stage.outputs) else set()
+    tiles |= {x: apart.size[x] for x in own}
+    conditions |= dict.fromkeys(own)
     best = None
     for c in (c for c in conditions if is_int(c.vtype) and c.channels == 1 and (c.extent == stage.extent or c in tiles)):
-        known: dict[Node, np.ndarray] = {c: np.zeros(1, np.int64)}
-        for n in stage.nodes:
-            if n is not c:
-                value = constant_value(n, known)
-                if value is not None:
-                    known[n] = value
-        constants = [known.get(n) for n in stage.outputs]
-        if any(x is None or not ((x == 0).all() or (is_int(n.vtype) and (x == -1).all())) for x, n in zip(constants, stage.outputs)):
+        values = known.where_zero(c, stage.extent)
+        constants = tuple(number(n, values.get(n)) for n in stage.outputs)
+        if any(x is None and not unread(n, c) for x, n in zip(constants, stage.outputs)):
             continue
         cone = _cone(c, inside, stage.nodes) if c in inside else ()
         saved = total - sum(n.op.cost for n in cone)
-        rank = (c in tiles, saved)  # tiles that are not drawn cost nothing anywhere
+        rank = (c in tiles, c in own, saved)  # tiles that are not drawn cost nothing anywhere
         if saved >= least and (best is None or rank > best[0]):
-            best = (rank, Guard(c, cone, tuple(int(x[0]) for x in constants), tiles.get(c)))
+            best = (rank, Guard(c, cone, constants, tiles.get(c)))
     return best and best[1]
 
 
@@ -96,22 +76,32 @@ def find_domains(plan: PlanGraph, stages: Sequence[Stage], guards: bool = True) 
     """The stages of a plan with their domains; without `guards`, a simple twin of the same bits, only geometry leaves anything undrawn, and
     what must keep what it does not write. Raises PackError where copies cannot be given back in place."""
     totals = {**plan.totals, **_totals(stages)} if guards else {}
-    use = _Use(plan.roots, stages)
+    order = topological(plan.roots)
+    known = Known(order)
+    apart = find_apart(order, set(plan.roots), known)
+    use = _Use(plan.roots, stages, known)
 
     def domain(s: Substage) -> Domain:
         if s.raster:
             return Domain(outside=(s.nodes[0].op.clear,))
         if s.extent in totals and plan.kind != LEAVE:
             return Domain(LISTED, totals[s.extent], outside=tuple(map(use.after_the_last, s.outputs)))
-        guard = find_guard(s, 0) if plan.kind == LEAVE else find_guard(s) if guards else None
+        guard = find_guard(s, known, 0) if plan.kind == LEAVE else find_guard(s, known, MIN_COST, apart, use.unread) if guards else None
         if plan.kind == LEAVE:
             return _in_place(plan, s, guard)
         if guard is None:
             return Domain(outside=(None,) * len(s.outputs))
-        outside = [None if use.none_outside(n, guard, s.outputs) else x for n, x in zip(s.outputs, guard.constants)]
+        outside = [None if use.none_outside(n, guard, s.extent) else x for n, x in zip(s.outputs, guard.constants)]
         return Domain(TILES if guard.tile else TEXELS, guard.node, guard.tile, guard.cone, tuple(outside))
 
-    return tuple(Stage(stage.extent, tuple(replace(s, domain=domain(s)) for s in stage.substages)) for stage in stages)
+    result = []
+    for stage in reversed(stages):  # readers first
+        substages = []
+        for s in reversed(stage.substages):
+            substages.insert(0, replace(s, domain=domain(s)))
+            use.drawn(substages[0])
+        result.insert(0, Stage(stage.extent, tuple(substages)))
+    return tuple(result)
 
 
 def _in_place(plan: PlanGraph, s: Substage, guard: Guard | None) -> Domain:
@@ -130,23 +120,34 @@ def _totals(stages: Sequence[Stage]) -> dict[Extent, Node]:
 class _Use:
     """Which outputs of a substage nothing reads where they are left out."""
 
-    def __init__(self, roots: Sequence[Node], stages: Sequence[Stage]):
-        self.roots, self.reads = set(roots), {}
+    def __init__(self, roots: Sequence[Node], stages: Sequence[Stage], known: Known):
+        self.known = known
+        self.roots, self.reads, self.readers = set(roots), {}, {}
         for n in (n for stage in stages for s in stage.substages for n in s.nodes):
             for k, x in enumerate(n.inputs):
                 self.reads.setdefault(x, []).append((n, k))
 
-    def none_outside(self, x: Node, guard: Guard, outputs: Sequence[Node]) -> bool:
-        """Whether x, one of the outputs, is of use only where something is named by an image that names nothing where the guard leaves
-        them out: another output, or what the guard is made of (`Op.named`, `Op.covers`)."""
-        known = dict(zip(outputs, guard.constants))
+    def drawn(self, s: Substage) -> None:
+        """Takes note of a substage whose domain is known."""
+        for x, mode in s.reads:
+            self.readers.setdefault(x, []).append((mode, s.domain.by if s.domain.kind == TILES else None))
+
+    def unread(self, x: Node, by: Node) -> bool:
+        """Whether nothing reads x in tiles where `by` is zero, as far as readers were taken note of: all of them come later."""
+        return x not in self.roots and all(mode == OWN and tiles is by for mode, tiles in self.readers.get(x, [(None, None)]))
+
+    def none_outside(self, x: Node, guard: Guard, extent: Extent) -> bool:
+        """Whether x, one of the outputs, is of use only where something is named by an image that names nothing where the guard is zero
+        (`Op.named`, `Op.covers`)."""
+        values = self.known.where_zero(guard.node, extent)
+        named = {n: int(value[0]) for n, value in values.items() if value.size == 1}
         if guard.node.op.covers:
             covered, value = guard.node.op.covers
-            known[guard.node.inputs[covered]] = value
+            named[guard.node.inputs[covered]] = value
 
         def of_no_use(n: Node, k: int) -> bool:
             mine, other, none = n.op.named or (-1, 0, 0)
-            return k == mine and known.get(n.inputs[other]) == none
+            return k == mine and named.get(n.inputs[other]) == none
         return x not in self.roots and all(of_no_use(n, k) for n, k in self.reads[x])
 
     def after_the_last(self, x: Node) -> int | None:

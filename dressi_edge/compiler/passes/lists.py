@@ -20,8 +20,8 @@ from ..graph.ir import COLUMN, Extent, Node, intern, is_int, rebuild, topologica
 from ..graph.ops.compact import compact
 from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
-from .domains import constant_value
 from .groups import Group, Lists
+from .known import constant_value
 from .simplify import simplify
 from .specialize import dependence
 

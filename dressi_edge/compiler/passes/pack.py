@@ -5,7 +5,8 @@ In: the roots of one plan, lowered and simplified. Out: `Stage`s in running orde
 A value must be stored where a reader is not at the same texel: another extent, a fetch, a sampler, the vertex stage. Those reads
 cut the graph into levels; all pixelwise work of one extent and one level can be one shader. A node is placed as late as
 its readers allow, at a level where a substage of its extent already exists if there is one. Values that are cheap to
-recompute from what the reader fetches anyway are recomputed instead of stored. Then substages that break a limit are split.
+recompute from what the reader fetches anyway are recomputed instead of stored. What is apart (`apart.py`) has groups of its own, and a read
+from one kind to another cuts, too. Then substages that break a limit are split.
 `pack_naive` is the simple twin: one function a substage.
 """
 from __future__ import annotations
@@ -17,6 +18,8 @@ from ..graph.formats import format_bits
 from ..graph.ir import UNIT, Extent, Node, topological
 from ..graph.ops import lookup as _lookup  # noqa: F401  (fills the op table)
 from ..graph.optable import OWN
+from .apart import Apart, find_apart
+from .known import Known
 from .split import split
 from .substage import Stage, Substage, edges, is_inline, is_leaf, merged_reads, substage
 
@@ -28,55 +31,61 @@ def _crosses(x: Node, user: Node, mode: str) -> bool:
     return (mode != OWN or x.extent != user.extent or x.op.stage == "raster" or user.op.stage == "raster")
 
 
-def _levels(order: Sequence[Node], roots: set[Node]) -> dict[Node, int]:
+def _later(x: Node, user: Node, mode: str, apart: Apart) -> bool:
+    """Whether the user is at a later level than x."""
+    return not is_leaf(x) and (_crosses(x, user, mode) or apart.tiles.get(x) is not apart.tiles.get(user))
+
+
+def _levels(order: Sequence[Node], apart: Apart) -> dict[Node, int]:
     """The level of each node; see the module's text."""
+    order = apart.ordered(order)
     low: dict[Node, int] = {}
     for n in order:
-        low[n] = 0 if is_leaf(n) else max([1] + [low[x] + (0 if is_leaf(x) else _crosses(x, n, m)) for x, m in edges(n)])
+        low[n] = 0 if is_leaf(n) else max([1] + [low[x] + _later(x, n, m, apart) for x, m in apart.edges(n)])
     top = max(low.values(), default=0)
     high = dict.fromkeys(order, top)
     level: dict[Node, int] = {}
-    groups: dict[Extent, set[int]] = {}
+    groups: dict[tuple[Extent, Node | None], set[int]] = {}
     read: set[Node] = set()
     for n in reversed(order):
         if is_leaf(n):
             continue
-        existing = [] if n.op.stage == "raster" else [g for g in groups.get(n.extent, ()) if low[n] <= g <= high[n]]
+        kind = n.extent, apart.tiles.get(n)
+        existing = [] if n.op.stage == "raster" else [g for g in groups.get(kind, ()) if low[n] <= g <= high[n]]
         level[n] = max(existing) if existing else (high[n] if n in read else low[n])
         if n.op.stage != "raster":
-            groups.setdefault(n.extent, set()).add(level[n])
-        for x, m in edges(n):
-            high[x] = min(high[x], level[n] - _crosses(x, n, m))
+            groups.setdefault(kind, set()).add(level[n])
+        for x, m in apart.edges(n):
+            high[x] = min(high[x], level[n] - _later(x, n, m, apart))
             read.add(x)
-    _merge(order, level)
+    _merge(order, level, apart)
     return level
 
 
-def _merge(order: Sequence[Node], level: dict[Node, int]) -> None:
-    """Move whole groups down to an earlier group of their extent wherever their inputs are there in time."""
-    groups: dict[tuple[Extent, int], list[Node]] = {}
+def _merge(order: Sequence[Node], level: dict[Node, int], apart: Apart) -> None:
+    """Move whole groups down to an earlier group of their kind wherever their inputs are there in time."""
+    groups: dict[tuple[Extent, Node | None, int], list[Node]] = {}
     for n in order:
         if n in level and n.op.stage != "raster":
-            groups.setdefault((n.extent, level[n]), []).append(n)
-    for extent, top in sorted(groups, key=lambda key: key[1]):
-        members = set(groups[extent, top])
-        ready = max((level.get(x, 0) + (0 if is_leaf(x) else _crosses(x, n, m)) for n in members for x, m in edges(n) if x not in members),
-                    default=1)
+            groups.setdefault((n.extent, apart.tiles.get(n), level[n]), []).append(n)
+    for extent, tiles, top in sorted(groups, key=lambda key: key[2]):
+        members = set(groups[extent, tiles, top])
+        ready = max((level.get(x, 0) + _later(x, n, m, apart) for n in members for x, m in apart.edges(n) if x not in members), default=1)
         inner = any(x in members and _crosses(x, n, m) for n in members for x, m in edges(n))
-        target = next((k for k in range(max(1, ready), top) if groups.get((extent, k))), None)
+        target = next((k for k in range(max(1, ready), top) if groups.get((extent, tiles, k))), None)
         if target is not None and not inner:
-            for n in groups[extent, top]:
+            for n in groups[extent, tiles, top]:
                 level[n] = target
-            groups[extent, target] += groups[extent, top]
-            groups[extent, top] = []
+            groups[extent, tiles, target] += groups[extent, tiles, top]
+            groups[extent, tiles, top] = []
 
 
-def _groups(order: Sequence[Node], level: dict[Node, int]) -> list[list[Node]]:
+def _groups(order: Sequence[Node], level: dict[Node, int], apart: Apart) -> list[list[Node]]:
     groups: dict[tuple, list[Node]] = {}
     for n in order:
         if not is_leaf(n):
             key = (level[n], 0 if n.op.stage == "raster" else 1, n.extent.width, n.extent.height, n.extent.count, n.extent.partial,
-                   n.serial if n.op.stage == "raster" else 0)  # those two tell groups apart and order none
+                   n.serial if n.op.stage == "raster" else 0, apart.tiles.get(n))  # those three tell groups apart and order none
             groups.setdefault(key, []).append(n)
     return [groups[key] for key in sorted(groups, key=lambda key: key[:5])]
 
@@ -112,14 +121,16 @@ def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
     root_set = {r for r in roots if not is_leaf(r)}
     order = [n for n in topological(roots) if not is_inline(n)]
     at = {n: k for k, n in enumerate(order)}
-    level = _levels(order, root_set)
-    groups = _groups(order, level)
+    apart = find_apart(order, root_set, Known(order))
+    level = _levels(order, apart)
+    groups = _groups(order, level, apart)
     stored = {n for n in order if is_leaf(n) or n in root_set or n.op.stage == "raster"}
     for n in order:
         stored.update(x for x, m in edges(n) if _crosses(x, n, m))
     members: list[list[Node]] = []
     for group in groups:
-        inside = set(group)
+        inside, tiles = set(group), apart.tiles.get(group[0])
+        stored.update(x for n in group for x, _ in edges(n) if apart.tiles.get(x, tiles) is not tiles)  # and not computed everywhere
         reads = {x for n in group for x, m in edges(n) if x not in inside and x in stored}
         wanted = list(dict.fromkeys(x for n in group for x, m in edges(n) if x not in inside and x not in stored))
         extra = _cone(wanted, stored, reads, RECOMPUTE_COST * len(wanted))

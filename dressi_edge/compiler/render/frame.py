@@ -13,11 +13,12 @@ import numpy as np
 from ...cache.errors import InputError
 from ..graph.functions import apply, compose, constant_table, lookup, select, to_float, to_int
 from ..graph.ir import UNIT, Node, intern, rebuild, topological
+from .alike import runs
 from .atlas import Atlas
 from .camera import ViewTable
 from .material import shaded
 from .part import Parts
-from .raster import Fragments, Renderer, near_faces
+from .raster import Fragments, Renderer, Span, near_faces
 from .surface import Surface
 
 
@@ -34,8 +35,9 @@ class Frame:
         self.parts, self.views, self.atlas, self.renderer, self.background = parts, views, atlas, renderer, background
         self.all_views, self.chosen, self.encode, self.step, self._who = all_views or atlas, chosen, encode, step, who
         self._sizes = sizes
-        self._weights: dict[int, list[Node]] = {}
+        self._weights: dict[tuple[int, int, int], list[Node]] = {}
         self._surfaces: dict[tuple[int, int], Surface] = {}
+        self._runs: dict[tuple[int, bool], list[tuple[int, Surface]]] = {}
 
     # ---- what is drawn
 
@@ -69,14 +71,25 @@ class Frame:
             if not 0 <= k < count:
                 raise InputError(f"{what} {k} of a frame that has {count}; 0 to {count - 1} are allowed")
         if (layer, part) not in self._surfaces:
-            self._surfaces[layer, part] = Surface(self, layer, part)
+            one = self.parts.parts[part]
+            self._surfaces[layer, part] = Surface(self, layer, one, self.parts.span(part, one.topology))
         return self._surfaces[layer, part]
 
-    def weights(self, layer: int) -> list[Node]:
-        """Barycentrics of a layer's points."""
-        if layer not in self._weights:
-            self._weights[layer] = self.fragments.barycentrics(self.fragments.layers[layer])
-        return self._weights[layer]
+    def _together(self, layer: int, materials: bool) -> list[tuple[int, Surface]]:
+        """What pixels see in a layer, each with the number of its first part: parts that are made alike (without `materials`, shaped alike)
+        as one."""
+        if (layer, materials) not in self._runs:
+            self._runs[layer, materials] = [
+                (k, self.surface(layer, k) if count == 1 else Surface(self, layer, part, self.parts.span(k, part.topology)))
+                for k, count, part in runs(self.parts.parts, materials)]
+        return self._runs[layer, materials]
+
+    def weights(self, layer: int, span: Span | None) -> list[Node]:
+        """Barycentrics of a layer's points on the faces of a span, or on all."""
+        key = layer, *((span.first, len(span.topology.faces)) if span else (0, len(self.parts.topology.faces)))
+        if key not in self._weights:
+            self._weights[key] = self.fragments.barycentrics(self.fragments.layers[layer], span)
+        return self._weights[key]
 
     # ---- pictures
 
@@ -95,14 +108,13 @@ class Frame:
         return self.fragments.color(layers, self.background if background is None else background)
 
     def _colored(self, layer: int) -> Node:
-        """The colour of a layer; each part's is worked out in the tiles that show it."""
-        total = None
-        for k, part in enumerate(self.parts.parts):
-            s = self.surface(layer, k)
-            color = shaded(part.material, s, self._who(k))
-            color = near_faces(s.face_over_views, self.encode(color) if self.encode else color)
+        """The colour of a layer; each part's, or that of parts that are made alike, is worked out in the tiles that show it."""
+        total, together = None, self._together(layer, True)
+        for k, s in together:
+            color = shaded(s.part.material, s, self._who(k))
+            color = near_faces(s.face_over_views, self.encode(color) if self.encode else color, apart=len(together) > 1)
             total = color if total is None else select(s.inside, color, total)
-        return total if len(self.parts.parts) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
+        return total if len(together) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
 
     @cached_property
     def mask(self) -> Node:
@@ -112,9 +124,15 @@ class Frame:
     def of(self, read: Callable[[Surface], Node], none: float = 0.0, layer: int = 0, soft: bool = False) -> Node:
         """What `read` gives of the surfaces of a layer, each part's in its pixels, `none` where nothing is in front. soft: also beside
         outlines, at the nearest points of what is beside."""
+        return self._of(read, [self.surface(layer, k) for k in range(len(self.parts.parts))], none, layer, soft)
+
+    def _shape(self, read: Callable[[Surface], Node]) -> Node:
+        """What `read` gives of shapes alone."""
+        return self._of(read, [s for _, s in self._together(0, False)])
+
+    def _of(self, read: Callable[[Surface], Node], surfaces: list[Surface], none: float = 0.0, layer: int = 0, soft: bool = False) -> Node:
         total = None
-        for k in range(len(self.parts.parts)):
-            s = self.surface(layer, k)
+        for s in surfaces:
             value = near_faces(s.face_over_views, read(s))
             total = value if total is None else select(s.inside, value, total)
         shown = self.fragments.layers[layer]
@@ -123,42 +141,42 @@ class Frame:
     @cached_property
     def position(self) -> Node:
         """vec3, in world space."""
-        return self.of(lambda s: s.position)
+        return self._shape(lambda s: s.position)
 
     @cached_property
     def normal(self) -> Node:
         """vec3 of length 1, in world space; by each part's `normals`."""
-        return self.of(lambda s: s.normal)
+        return self._shape(lambda s: s.normal)
 
     @cached_property
     def geometric_normal(self) -> Node:
         """vec3 of length 1: of the faces."""
-        return self.of(lambda s: s.geometric_normal)
+        return self._shape(lambda s: s.geometric_normal)
 
     @cached_property
     def camera_normal(self) -> Node:
         """vec3 of length 1, in the camera's axes: x right, y up, z towards the eye."""
-        return self.of(lambda s: s.camera_normal)
+        return self._shape(lambda s: s.camera_normal)
 
     @cached_property
     def depth(self) -> Node:
         """float: along the camera's axis."""
-        return self.of(lambda s: s.depth)
+        return self._shape(lambda s: s.depth)
 
     @cached_property
     def distance(self) -> Node:
         """float: from the eye, along the ray."""
-        return self.of(lambda s: s.distance)
+        return self._shape(lambda s: s.distance)
 
     @cached_property
     def uv(self) -> Node:
         """vec2: texture coordinates, v down."""
-        return self.of(lambda s: s.uv)
+        return self._shape(lambda s: s.uv)
 
     @cached_property
     def barycentric(self) -> Node:
         """vec3: of the face, its corners by ascending vertex index."""
-        return self.of(lambda s: s.barycentric)
+        return self._shape(lambda s: s.barycentric)
 
     @cached_property
     def face(self) -> Node:

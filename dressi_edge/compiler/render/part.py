@@ -80,9 +80,9 @@ class Parts:
     def first_face(self) -> list[int]:
         return [int(k) for k in np.cumsum([0, *(len(part.topology.faces) for part in self.parts)])[:-1]]
 
-    def span(self, k: int) -> Span | None:
-        """The faces of part k; None where it is the only one."""
-        return None if len(self.parts) == 1 else Span(self.parts[k].topology, self.first_face[k])
+    def span(self, k: int, topology: Topology) -> Span | None:
+        """The faces of a topology that begins with part k; None where they are all."""
+        return None if len(topology.faces) == len(self.topology.faces) else Span(topology, self.first_face[k], int(self.first_vertex[k]))
 
     def clip(self, views: ViewTable) -> Node:
         """Clip coordinates of all vertices, a view-major table. Neighbours that both move, or both rest, are projected together; what

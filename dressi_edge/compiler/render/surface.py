@@ -20,16 +20,16 @@ from .texture import sample_texture
 if TYPE_CHECKING:
     from .frame import Frame
     from .part import Part
+    from .raster import Span
 
 
 class Surface:
     """In a material: `s.position`, `s.normal`, ... are vec3 in world space unless they say otherwise, over all pixels of the frame.
-    number: the layer, 0 in front; index: which part."""
+    number: the layer, 0 in front; span: the part's faces among those that are drawn together, None where they are all."""
 
-    def __init__(self, frame: Frame, number: int, index: int):
-        self.frame, self.number, self.index = frame, number, index
-        self.part: Part = frame.parts.parts[index]
-        self._layer, self._span = frame.fragments.layers[number], frame.parts.span(index)
+    def __init__(self, frame: Frame, number: int, part: Part, span: Span | None):
+        self.frame, self.number, self.part = frame, number, part
+        self._layer, self._span = frame.fragments.layers[number], span
 
     @cached_property
     def face(self) -> Node:
@@ -49,7 +49,7 @@ class Surface:
     @cached_property
     def barycentric(self) -> Node:
         """vec3: the weights of the face's corners, by ascending vertex index; in perspective."""
-        return compose(*self.frame.weights(self.number))
+        return compose(*self.frame.weights(self.number, self._span))
 
     @cached_property
     def position(self) -> Node:
@@ -130,7 +130,7 @@ class Surface:
         count = len(self.part.mesh.positions)
         if not isinstance(table, Node) or table.extent.count != count:
             raise InputError(f"part {self.part.name}: a vertex attribute is {table!r:.60}; a table of its {count} vertices is needed")
-        return self.frame.fragments.interpolate(self._layer, table, self.frame.weights(self.number), self._span)
+        return self.frame.fragments.interpolate(self._layer, table, self.frame.weights(self.number, self._span), self._span)
 
     def indexed(self, table: Node, faces: np.ndarray) -> Node:
         """An attribute that corners share as they like: a float or vec table, and (F, 3) entries for all faces of the mesh. InputError."""
@@ -138,14 +138,14 @@ class Surface:
         if faces.shape != (count, 3) or not isinstance(table, Node) or faces.min() < 0 or faces.max() >= table.extent.count:
             raise InputError(f"part {self.part.name}: an attribute of corners has indices of shape {faces.shape} into {table!r:.60}; "
                              f"({count}, 3) indices of its entries are needed")
-        return self.frame.fragments.interpolate_indexed(self._layer, table, faces, self.frame.weights(self.number), self._span)
+        return self.frame.fragments.interpolate_indexed(self._layer, table, faces, self.frame.weights(self.number, self._span), self._span)
 
     def corner(self, values: np.ndarray) -> Node:
         """A constant attribute of the faces' corners, (F, 3, c) for all faces of the mesh. Raises InputError."""
         values, count = np.asarray(values, float), len(self.part.mesh.faces)
         if values.ndim != 3 or values.shape[:2] != (count, 3) or not 1 <= values.shape[2] <= 4:
             raise InputError(f"part {self.part.name}: an attribute of corners has shape {values.shape}; ({count}, 3, 1 to 4) is needed")
-        return self.frame.fragments.interpolate_constant(self._layer, values, self.frame.weights(self.number), self._span)
+        return self.frame.fragments.interpolate_constant(self._layer, values, self.frame.weights(self.number, self._span), self._span)
 
     def per_face(self, values: np.ndarray) -> Node:
         """A constant of each face, (F, c) for all faces of the mesh. Raises InputError."""

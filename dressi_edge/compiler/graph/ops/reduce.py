@@ -211,7 +211,8 @@ op("edge_mask", "across tiles", attrs=_WINDOW, infer=_window_infer, reads="texel
 
 op("inside_tiles", "value tiles", infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[0].extent), reads="own tile", cost=2,
    when=flag(1) + zero(0), glsl="{y} = {tiles} != 0 ? {value} : {type}(0);",
-   ref=lambda value, tiles, tile: np.where(spread(tiles, value.shape[1], value.shape[0], tile) != 0, value, 0),
-   vjp=lambda g, y, value, tiles, tile: (apply("inside_tiles", g, tiles, tile=tile), None),
+   ref=lambda value, tiles, tile, apart=False: np.where(spread(tiles, value.shape[1], value.shape[0], tile) != 0, value, 0),
+   vjp=lambda g, y, value, tiles, **how: (apply("inside_tiles", g, tiles, **how), None),
    sample=lambda rng: ([rng.normal(size=(20, 35, 3)), rng.integers(0, 2, (2, 3, 1))], {"tile": (16, 16)}),
-   doc="A value inside the tiles that are marked, zero outside: what depends on it is drawn for those tiles alone.")
+   doc="A value inside the tiles that are marked, zero outside: what depends on it is drawn for those tiles alone. With apart=True in "
+       "passes of its own (passes/apart.py).")

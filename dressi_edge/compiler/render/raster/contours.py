@@ -18,8 +18,9 @@ from .softness import Softness
 
 
 class ContourFragments(OutlineFragments):
-    """Layers: what is in front at the pixel (or beside an outline), and where the pixel is on the far side of a contour the face that the
-    contour's edge shows, at its nearest point. gap: how much deeper what is hidden must be, as a fraction of the edge's distance."""
+    """Layers: what is in front at the pixel (or beside an outline), and beside a contour what is on its other side: of a pixel on the far
+    side the face that the contour's edge shows, at its nearest point; on the near side the face in front at the pixel across. gap: how
+    much deeper what is hidden must be, as a fraction of the edge's distance."""
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, gap: float):
         super().__init__(clip, topology, atlas, softness, near, True)
@@ -38,35 +39,42 @@ class ContourFragments(OutlineFragments):
                      extent=atlas.extent, radius=r, gap=float(gap), edge_count=count, slots=listed.entries.extent.count, **self.cells)
         tiles = apply("occupied", code, width=GUARDED[0], height=GUARDED[1])
         place = apply("inside_tiles", apply("shift_right", code, 1) + 1, tiles, tile=GUARDED)
+        self.tiles = tiles
         self.beside = near_faces(code, place) > 0  # a contour is within r
         self.outer = apply("bit_and", self.beside, apply("bit_and", code, 1))
         boxes = around(fixed, exists, r + 0.05, view, atlas)
         segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
         dist, foot = self._nearest(segment, select(self.outer, 0, 1))
-        self.nearer = sigmoid(dist * (1.0 / softness.width))  # how much of the picture is the near side
-        self.beyond = self._beyond(stop_gradient(segment))
+        nearer = sigmoid(dist * (1.0 / softness.width))  # how much of the picture is the near side
+        self.share = select(self.outer, 1.0 - nearer, nearer), select(self.outer, nearer, 1.0 - nearer)  # of the own face, of the other
         shown = lookup(self._owners(listed, view), place - 1)
-        face = select(self.outer, apply("shift_right", shown, 2), -1)
-        nowhere = apply("broadcast", 0, extent=atlas.extent)  # of a pixel whose own face is another the rim is not in front
-        rim = Layer(face, nowhere, dist, select(self.outer, self.nearer, 0.0), foot, apply("bit_and", shown, 3))
-        self.layers = [*self.layers, rim]
+        beyond = stop_gradient(self._beyond(segment))
+        across = apply("fetch", self.front, to_int(beyond + self._middle) + self.atlas.corner(self.view))
+        face = select(self.outer, apply("shift_right", shown, 2), select(self.beside, across, -1))
+        nowhere = apply("broadcast", 0, extent=atlas.extent)  # of a pixel whose own face is another this is not in front
+        self.layers = [*self.layers, Layer(face, nowhere, dist, select(self.outer, nearer, 0.0), select(self.outer, foot, beyond),
+                                           select(self.outer, apply("bit_and", shown, 3), 3))]
+
+    @property
+    def _middle(self) -> Node:
+        return compose(self.atlas.width / 2, self.atlas.height / 2)
 
     def _beyond(self, segment: Node) -> Node:
-        """The texel of the atlas that lies across the edge: the one that holds the point a pixel beyond its nearest point."""
+        """The centre of the pixel that lies across the edge, relative to the cell's: of the one that holds the point a pixel beyond the
+        edge's nearest point."""
         foot = self._foot(segment)
         across = foot - self.position
-        middle = compose(self.atlas.width / 2, self.atlas.height / 2)
-        at = foot + across / maximum(length(across), 1e-10) + middle
+        at = apply("floor", foot + across / maximum(length(across), 1e-10) + self._middle)
         last = compose(float(self.atlas.width - 1), float(self.atlas.height - 1))
-        inside = clamp(apply("floor", at), 0.0, last)
-        return to_int(inside) + self.atlas.corner(self.view)
+        return clamp(at, 0.0, last) + 0.5 - self._middle
 
     def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
-        """On the far side of a contour the edge's colour over the pixel's own, on the near side the pixel's own over that of the pixel
-        across; and all of it over the background as equation 5 says. What lies across has no gradient of its own."""
-        own, rim = shaded[0], near_faces(self.layers[0].face, shaded[1])  # so that one pass can leave out what shows nothing
-        across = stop_gradient(apply("fetch", apply("broadcast", own, extent=self.atlas.extent), self.beyond))
-        front, behind = select(self.outer, rim, own), select(self.outer, own, across)
-        both = select(self.beside, front * self.nearer + behind * (1.0 - self.nearer), own)
+        """Beside a contour the pixel's own colour and that of the other side, by their shares, and all of it over the background as
+        equation 5 says. What lies across has no gradient of its own. The other side has passes of its own: few tiles have contours."""
+        own, other = shaded
+        other = select(self.outer, other, stop_gradient(other)) * self.share[1]
+        less, other = (apply("inside_tiles", select(self.beside, x, 0.0), self.tiles, tile=GUARDED, apart=True)
+                       for x in (self.share[0] - 1.0, other))
+        both = near_faces(self.layers[0].face, own * (1.0 + less) + other)  # one pass leaves out what shows nothing
         alpha = self.silhouette()
         return both * alpha + background * (1.0 - alpha)

@@ -78,11 +78,12 @@ def listed_boxes(boxes: Node, bins: Node, each: int) -> Compact:
     return compact(apply("meets_tiles", boxes, bins, tile=BIN), each)
 
 
-def near_faces(face: Node, value: Node) -> Node:
-    """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only. One value for all
-    pixels (1 x 1) is broadcast to them."""
+def near_faces(face: Node, value: Node, apart: bool = False) -> Node:
+    """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only; with `apart` in passes
+    of its own. One value for all pixels (1 x 1) is broadcast to them."""
     value = value if value.extent == face.extent else apply("broadcast", value, extent=face.extent)
-    return apply("inside_tiles", value, apply("occupied", face, width=TILE, height=TILE), tile=(TILE, TILE))
+    how = {"tile": (TILE, TILE), **({"apart": True} if apart else {})}
+    return apply("inside_tiles", value, apply("occupied", face, width=TILE, height=TILE), **how)
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,12 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """The faces of one part among those that are drawn together: from `first` on, with a topology of their own."""
+    """The faces of one part among those that are drawn together: from `first` on, with a topology of their own, and their vertices from
+    `first_vertex` on."""
 
     topology: Topology
     first: int
+    first_vertex: int
 
 
 class Fragments:
@@ -173,20 +176,24 @@ class Fragments:
         return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
                        (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
 
-    def corners(self, table: Node, per_view: bool = False, span: Span | None = None) -> list[Node]:
-        """Tables (views x faces) of an attribute at the three sorted corners of each face."""
-        t, views = (span or self).topology, self.atlas.views
-        step = t.vertex_count if per_view else 0
-        return [lookup(table, np.concatenate([v * step + t.sorted_faces[:, k] for v in range(views)])) for k in range(3)]
+    def corners(self, table: Node, span: Span | None = None) -> list[Node]:
+        """Tables (views x faces) of an attribute of vertices (of all, or of the span's) at the three sorted corners of each face."""
+        faces = (span or self).topology.sorted_faces
+        return [lookup(table, np.tile(faces[:, k], self.atlas.views)) for k in range(3)]
 
-    def barycentrics(self, layer: Layer) -> list[Node]:
+    def _clip_corners(self, span: Span | None) -> list[Node]:
+        faces, step = (span or self).topology.sorted_faces + (span.first_vertex if span else 0), self.topology.vertex_count
+        return [lookup(self.clip, np.concatenate([v * step + faces[:, k] for v in range(self.atlas.views)])) for k in range(3)]
+
+    def barycentrics(self, layer: Layer, span: Span | None = None) -> list[Node]:
         """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
         point; Olano and Greer 1997). A third each, without gradient, where the face is too thin on screen for fp32 to tell.
 
         A point on an edge has nothing of the far corner, wherever that is: it is put across from the edge, as far away as the edge is
         long, so that the other two keep their digits however thin the face is. The gradient by it is 0 anyhow."""
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
-        h = [apply("swizzle", lookup(c, layer.face, self.face_boxes), channels="xyw") * scale for c in self.corners(self.clip, True)]
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        h = [apply("swizzle", lookup(c, face, boxes), channels="xyw") * scale for c in self._clip_corners(span)]
         a = [x.xy - layer.point * x.z for x in h]
         if layer.far is not None:
             start, stop = (stop_gradient(select(equal(layer.far, k), a[1], a[k])) for k in (0, 2))
@@ -228,7 +235,7 @@ class Fragments:
 
     def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None, span: Span | None = None) -> Node:
         """A vertex attribute (a table of all vertices, or of the span's) at the layer's point; zero where there is no face."""
-        weights = weights or self.barycentrics(layer)
+        weights = weights or self.barycentrics(layer, span)
         face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
         values = [lookup(c, face, boxes) for c in self.corners(attribute, span=span)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
@@ -236,7 +243,7 @@ class Fragments:
     def interpolate_indexed(self, layer: Layer, attribute: Node, faces: np.ndarray, weights: Sequence[Node] | None = None,
                             span: Span | None = None) -> Node:
         """An attribute of corners at the layer's point: a table, and (F, 3) which entry each corner has, of all of the mesh's faces."""
-        weights, topology = weights or self.barycentrics(layer), (span or self).topology
+        weights, topology = weights or self.barycentrics(layer, span), (span or self).topology
         index = np.take_along_axis(np.asarray(faces)[topology.kept], _order(topology), 1)
         face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
         values = [lookup(lookup(attribute, np.tile(index[:, k], self.atlas.views)), face, boxes) for k in range(3)]
@@ -249,7 +256,7 @@ class Fragments:
     def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None,
                              span: Span | None = None) -> Node:
         """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
-        weights, topology = weights or self.barycentrics(layer), (span or self).topology
+        weights, topology = weights or self.barycentrics(layer, span), (span or self).topology
         sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], _order(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
