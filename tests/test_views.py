@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError, InputWarning
+from dressi_edge.compiler.io.averaging import downsampled
 from dressi_edge.compiler.io.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
 from dressi_edge.compiler.io.gltf_cameras import gltf_cameras
 from dressi_edge.compiler.io.images import linear_to_srgb, load_images, names_of, natural, srgb_to_linear
@@ -384,6 +385,85 @@ def test_two_views_of_one_name_are_refused(folder):
     images, _ = load_images(folder)
     with pytest.raises(InputError, match="two views are called 'a'; give each a name of its own"):
         Views(images, orbit(2, [0.0], 3.0, 40.0, (8, 6)), ("a", "a"))
+
+
+def a_set(folder, count=9, size=(33, 21), seed=5):
+    """Files of random RGBA pictures, and what they hold."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, (count, *size[::-1], 4), np.uint8)
+    for k, image in enumerate(pixels):
+        Image.fromarray(image).save(folder / f"{k}.png")
+    return [folder / f"{k}.png" for k in range(count)], pixels
+
+
+def test_pictures_in_files_are_as_good_as_an_array(tmp_path):
+    files, pixels = a_set(tmp_path)
+    seen = []
+    images, _ = load_images(files, told=lambda *x: seen.append(x))
+    floats = pixels.astype(np.float32) / np.float32(255.0)
+    assert seen == [(k, 9) for k in range(1, 10)] and images.bits == 8 and images.rows(3).dtype == np.uint8
+    assert np.asarray(images).dtype == np.float32 and np.array_equal(images, floats) and np.array_equal(images[-2], floats[-2])
+    assert np.array_equal(images[1:4, ..., 3], floats[1:4, ..., 3]) and all(map(np.array_equal, images, floats)) and len(images) == 9
+    light = np.concatenate([srgb_to_linear(floats[..., :3]), floats[..., 3:]], -1)
+    assert np.array_equal(images.as_linear(), light) and np.array_equal(images, floats), "the one is not the other"
+    with pytest.raises(IndexError, match="picture 9 of 9"):
+        images[9]
+
+
+@pytest.mark.parametrize("size", [(33, 21), (11, 7), (16, 10), (1, 1), (32, 3)])
+def test_pictures_are_averaged_as_they_are_read(tmp_path, size):
+    """Against the definition: how much of each pixel lies in each of the new ones, in float64."""
+    files, pixels = a_set(tmp_path)
+    images, _ = load_images(files, size=size)
+    floats = pixels / 255.0
+    light = np.concatenate([srgb_to_linear(floats[..., :3]) * floats[..., 3:], floats[..., 3:]], -1)
+    for axis, n, m in ((1, 21, size[1]), (2, 33, size[0])):
+        low, high = np.arange(m)[:, None] * n / m, (np.arange(m)[:, None] + 1) * n / m
+        part = np.clip(np.minimum(high, np.arange(n) + 1) - np.maximum(low, np.arange(n)), 0.0, None) * m / n
+        light = np.moveaxis(np.tensordot(part, light, (1, axis)), 0, axis)
+    wanted = np.concatenate([linear_to_srgb(light[..., :3] / np.maximum(light[..., 3:], 1e-12)), light[..., 3:]], -1)
+    if size == (33, 21):
+        assert images.bits == 8 and np.array_equal(images, pixels / np.float32(255.0))
+    else:
+        assert images.bits == 32 and np.allclose(images, wanted, atol=2e-7)
+        assert np.array_equal(images[2], downsampled(np.asarray(pixels[2] / np.float32(255.0), np.float32), size)), "8 bits or float"
+
+
+def test_masks_are_known_of_files_and_of_arrays(tmp_path):
+    files, pixels = a_set(tmp_path)
+    pixels[..., 3] = 0
+    pixels[1, 3:9, 5:20, 3], pixels[2, ..., 3], pixels[3, ..., 3] = 128, 255, 127
+    for file, image in zip(files, pixels):
+        Image.fromarray(image).save(file)
+    images, names = load_images(files)
+    cams = orbit(9, [0.0], 3.0, 40.0, (33, 21))
+    masks = Views(images, cams, names).masks
+    assert masks == Views(np.asarray(images), cams, names).masks
+    assert masks[1].box == (5, 3, 20, 9) and masks[2].full and masks[2].border and masks[3].box is None and masks[0].highest == 0.0
+    assert masks[3].highest == pytest.approx(127 / 255)
+
+
+def test_a_picture_that_changes_while_it_is_used_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("dressi_edge.compiler.io.pictures.KEPT_BYTES", 3 * 33 * 21 * 4)
+    files, pixels = a_set(tmp_path)
+    images, _ = load_images(files)
+    assert np.array_equal(images, pixels / np.float32(255.0)), "those that are not kept are read again"
+    Image.fromarray(pixels[0]).save(files[7])
+    with pytest.raises(InputError, match="image .*7.png has changed since it was read; leave pictures alone while they are used"):
+        np.asarray(images)
+    files[5].unlink()
+    with pytest.raises(InputError, match=r"image file .*5.png cannot be read: No such file"):
+        images[5]
+
+
+def test_the_first_of_several_broken_pictures_is_named(tmp_path):
+    files, _ = a_set(tmp_path)
+    for k in (4, 6):
+        files[k].write_bytes(files[k].read_bytes()[:120])
+    before = Image.MAX_IMAGE_PIXELS
+    with pytest.raises(InputError, match="4.png cannot be read"):
+        load_images(files)
+    assert Image.MAX_IMAGE_PIXELS == before != None  # noqa: E711  (both)
 
 
 def test_downsampling_keeps_light_coverage_and_geometry():

@@ -10,6 +10,12 @@ from ..cache.summary import summary
 from .files import check_folder, print_json
 
 
+def _told(done: int, of: int) -> None:
+    """How many pictures are read, on a terminal."""
+    sys.stderr.write(f"\rpictures read: {done} of {of}" + ("\r\x1b[K" if done == of else ""))
+    sys.stderr.flush()
+
+
 def compile_job(args) -> None:
     """The command: a bundle of a job."""
     check_folder(args.output)
@@ -17,7 +23,7 @@ def compile_job(args) -> None:
     from ..compiler.backend.needs import shadowed
     from ..compiler.scene.job import load_job
     start = time.perf_counter()
-    description = load_job(args.job, profiles).compile(profiles, args.output, storage=args.storage)
+    description = load_job(args.job, profiles, _told if sys.stderr.isatty() else None).compile(profiles, args.output, storage=args.storage)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
     plans = {d["profile"]["name"]: summary(d) for d in variants}

@@ -6,15 +6,12 @@ of one line: the job file, the key as table.key, what was found, what is allowed
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from ...cache.errors import InputError
 from ...cache.profile import Profile
-from ..io.images import srgb_to_linear
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.text import bounded, read_bytes, shown
 from . import sense
@@ -43,9 +40,9 @@ class _Phase:
     soft: dict
 
 
-def load_job(path: str | Path, profiles: Sequence[Profile] = ()) -> Problem | SceneJob:
-    """The problem of a job file. What is too large for one of the `profiles` is said before pictures are decoded. Raises InputError,
-    naming the file and the key."""
+def load_job(path: str | Path, profiles: Sequence[Profile] = (), told: Callable[[int, int], None] | None = None) -> Problem | SceneJob:
+    """The problem of a job file. What is too large for one of the `profiles` is said before pictures are decoded. told: called with how
+    many pictures of how many are read. Raises InputError, naming the file and the key."""
     path = Path(path)
     data = read_bytes(path, "job", MAX_FILE_BYTES)
     try:
@@ -56,18 +53,19 @@ def load_job(path: str | Path, profiles: Sequence[Profile] = ()) -> Problem | Sc
         raise InputError(f"{path}: not a job: nested too deeply; repair it") from None
     except ValueError as error:  # a TOMLDecodeError, or a number of thousands of digits
         raise InputError(f"{path}: not TOML: {shown(error)}; repair it") from None
-    return parse_job(document, path, profiles)
+    return parse_job(document, path, profiles, told)
 
 
-def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()) -> Problem | SceneJob:
-    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. profiles: as in `load_job`."""
+def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = (),
+              told: Callable[[int, int], None] | None = None) -> Problem | SceneJob:
+    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. profiles, told: as in `load_job`."""
     path = Path(path)
     bounded(document, str(path))
     if "part" in document:
-        return parse_scene(document, path, profiles)
+        return parse_scene(document, path, profiles, told)
     job = Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
     make_mesh = mesh_of(job.table("mesh", MESH), path.parent)
-    views_table, make_views = views_of(job, path.parent, fits_views(profiles))
+    views_table, make_views = views_of(job, path.parent, fits_views(profiles), told)
     order = views_table.word("order", "batch", ORDERS)
     seed = views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
@@ -92,7 +90,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
                    {name for phase in phases for name in phase.optimize}, settings["texture_grad"])
     if linear:
         mesh = linear_mesh(mesh)
-        views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
+        views = views.linear()
     moved = any("vertices" in phase.optimize for phase in phases)
     normals = settings["normals"] or ("smooth" if moved or mesh.normals is None else "file")
     problem = render.checked(

@@ -20,7 +20,6 @@ from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
-from ..io.images import srgb_to_linear
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
 from ..render import loss as losses
 from ..render.frame import Frame
@@ -115,7 +114,8 @@ class _PhaseTable:
     soft: dict
 
 
-def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) -> SceneJob:
+def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
+                told: Callable[[int, int], None] | None = None) -> SceneJob:
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
     job = Table(document, "", ("part", "views", "render", "light", "phase"), str(path))
     parts = [_part(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
@@ -123,7 +123,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
     if twice := [p.name for k, p in enumerate(parts) if p.name in [q.name for q in parts[:k]]]:
         raise InputError(f"{path}: two parts are called {twice[0]!r}; give each part a name of its own")
-    views_table, make_views = views_of(job, path.parent, fits_views(profiles))
+    views_table, make_views = views_of(job, path.parent, fits_views(profiles), told)
     order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
     render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background"), job.source)
@@ -147,7 +147,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
                         "normalize has moved and scaled a part, but not the cameras" * any(p.table.has("normalize") for p in parts),
                         all(p.table.has("path") for p in parts))
     if linear:
-        views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
+        views = views.linear()
     scene = Scene(views.cameras, background, encode_srgb if srgb else None)
     scene.program.meta.update(linear_albedo=linear or srgb, linear_images=linear)
     builder = _Builder(scene, optimized, lights, linear or srgb)

@@ -46,8 +46,8 @@ def mesh_of(t: Table, folder: Path) -> Callable[[], Mesh]:
     return make
 
 
-def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None]):
-    """Reads [views]; gives the table and a function that loads them."""
+def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None], told: Callable[[int, int], None] | None = None):
+    """Reads [views]; gives the table and a function that loads them, and tells how many pictures of how many are read."""
     t = job.table("views", ("transforms", "gltf", "images", "size", "order", "seed", "color", "near", "far"))
     if len(t.has("transforms", "gltf")) != 1:
         raise t.conflict("transforms (a NeRF-style JSON or its folder) or gltf (cameras) is needed, and not both")
@@ -70,8 +70,8 @@ def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None]):
 
     def make() -> Views:
         if transforms is not None:
-            return t.checked(load_views, transforms, size, near, far, fits)
-        return t.checked(load_gltf_views, gltf, images, size, fits)
+            return t.checked(load_views, transforms, size, near, far, fits, told)
+        return t.checked(load_gltf_views, gltf, images, size, fits, told)
 
     return t, make
 
