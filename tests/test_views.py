@@ -13,8 +13,9 @@ from PIL import Image
 from dressi_edge.cache.errors import InputError, InputWarning
 from dressi_edge.compiler.io.averaging import downsampled
 from dressi_edge.compiler.io.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
+from dressi_edge.compiler.io.decode import load_images
 from dressi_edge.compiler.io.gltf_cameras import gltf_cameras
-from dressi_edge.compiler.io.images import linear_to_srgb, load_images, names_of, natural, srgb_to_linear
+from dressi_edge.compiler.io.images import linear_to_srgb, names_of, natural, srgb_to_linear
 from dressi_edge.compiler.io.meshes import Mesh, load_mesh, load_texture, normalize
 from dressi_edge.compiler.io.shapes import pear
 from dressi_edge.compiler.io.views import Views, load_gltf_views, load_views
@@ -207,19 +208,20 @@ def test_frame_values_win_and_angles_are_horizontal(folder):
     (lambda d: d.update(fl_x="wide"), "fl_x is 'wide'"),
     (lambda d: d.update(fl_x=-3), "fl_x is -3"),
     (lambda d: [d.pop("fl_x"), d.update(camera_angle_x=40.0)], "camera_angle_x is 40.0; it must be between 0 and pi"),
-    (lambda d: d.update(k1=0.1), "lens distortion k1 is 0.1"),
-    (lambda d: d.update(k5=0.3), "lens distortion k5 is 0.3; only 0 is allowed"),
-    (lambda d: d["frames"][1].update(p2=-1e-9), "frame 1: lens distortion p2 is -1e-09"),
-    (lambda d: d.update(k1="much"), "lens distortion k1 is 'much'"),
+    (lambda d: d.update(k5=0.3), "lens distortion k5 is 0.3; without a camera_model, k1 k2 k3 p1 p2 are read; name the right model"),
+    (lambda d: d.update(k4=0.3, camera_model="OPENCV"), "lens distortion k4 is 0.3; with camera_model OPENCV, k1 k2 k3 p1 p2 are read"),
+    (lambda d: d["frames"][1].update(camera_model="PINHOLE", p2=-1e-9), "frame 1: lens distortion p2 is -1e-09; .*PINHOLE, none is read"),
+    (lambda d: d.update(camera_model="OPENCV_FISHEYE", p1=0.1), "p1 is 0.1; with camera_model OPENCV_FISHEYE, k1 k2 k3 k4 are read"),
+    (lambda d: d.update(k1="much"), "k1 is 'much'; it must be a finite number"),
     (lambda d: d.update(distortion_params=[0, 0.1]), r"distortion_params is \[0, 0.1\]"),
-    (lambda d: d.update(camera_model="OPENCV_FISHEYE"), "camera_model is 'OPENCV_FISHEYE'; only pinhole cameras"),
-    (lambda d: d["frames"][1].update(camera_model="EQUIRECTANGULAR"), "frame 1: camera_model is 'EQUIRECTANGULAR'"),
+    (lambda d: d["frames"][1].update(camera_model="EQUIRECTANGULAR"), "frame 1: camera_model is 'EQUIRECTANGULAR'; allowed: PINHOLE"),
     (lambda d: d.update(camera_model=7), "camera_model is 7"),
-    (lambda d: d.update(is_fisheye=True), "is_fisheye is True; only pinhole"),
+    (lambda d: d.update(equirectangular=True), "equirectangular is True; cameras of one lens and one moment are read"),
     (lambda d: d.update(fisheye_crop_radius=1000.0), "fisheye_crop_radius is 1000.0"),
     (lambda d: d["frames"][0].update(ftheta_p1=0.5), "ftheta_p1 is 0.5"),
     (lambda d: d.update(rolling_shutter=[0.0, 0.0, 0.02]), "rolling_shutter is"),
-    (lambda d: d["frames"][0].update(mask_path="m.png"), "frame 0: mask_path is not read: the mask is the alpha"),
+    (lambda d: d["frames"][0].update(mask_path="m.png"), "frame 0: mask file .*m.png does not exist"),
+    (lambda d: d["frames"][0].update(mask_path=["m.png"]), "frame 0: its mask's path is"),
     (lambda d: d.update(white_transparent=True), "white_transparent is not read"),
     (lambda d: d.update(K=[[9, 0, 4], [0, 9, 3], [0, 0, 1]]), "K is not read: intrinsics are read from fl_x"),
     (lambda d: d.update(fl_X=9), "fl_X is an unknown key; did you mean fl_x"),
@@ -234,6 +236,7 @@ def test_frame_values_win_and_angles_are_horizontal(folder):
     (lambda d: d["frames"][0].update(file_path="\ud800"), "half a surrogate pair"),
     (lambda d: d.update(up=[[[1] * 3]] * 3, aabb=eval("[" * 40 + "]" * 40)), "nests deeper than 32 levels"),
     (lambda d: d.update(w=16), "states 16x6 pixels, but .*000.png has 8x6"),
+    (lambda d: d.update(w=16, h=9), "states 16x9 pixels, but .*000.png has 8x6"),
 ])
 def test_a_malformed_transforms_file_is_named(folder, change, message):
     with pytest.raises(InputError, match=message) as caught:
@@ -309,7 +312,7 @@ def test_images_need_alpha_one_size_and_to_be_images(folder):
         load_views(folder)
     Image.new("RGBA", (9, 6)).save(folder / "001.png")
     with pytest.raises(InputError, match="001.png is 9x6, but .*000.png is 8x6"):
-        load_views(folder)
+        load_images(folder)
     (folder / "001.png").write_bytes((folder / "000.png").read_bytes()[:40])
     with pytest.raises(InputError, match="001.png cannot be read"):
         load_views(folder)

@@ -7,7 +7,7 @@ import math
 import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,53 +16,12 @@ from PIL import Image
 from ...cache.errors import InputError
 from .averaging import downsampled
 from .color import linear_to_srgb, srgb_to_linear
-from .pictures import Pictures
-from .text import is_file, is_folder, shown
+from .text import is_file, shown
 
-__all__ = ["IMAGE_SUFFIXES", "MAX_PIXELS", "downsampled", "linear_to_srgb", "load_images", "names_of", "natural", "opened",
-           "picture_size", "png_bytes", "srgb_to_linear", "to_bytes"]
-IMAGE_SUFFIXES = (".png", ".webp", ".tif", ".tiff")  # those that can hold alpha
+__all__ = ["IMAGE_SUFFIXES", "MAX_PIXELS", "downsampled", "linear_to_srgb", "names_of", "natural", "opened", "png_bytes",
+           "srgb_to_linear", "to_bytes"]
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga", ".ppm", ".gif")
 MAX_PIXELS = 1 << 26  # of one picture: as float64 RGB 1.6 GB, of the 4 GB that a bundle may have 1 GB
-
-
-def load_images(source: str | Path | Sequence[str | Path], fits: Callable[[int, int, int], None] | None = None,
-                size: tuple[int, int] | None = None, told: Callable[[int, int], None] | None = None
-                ) -> tuple[Pictures, tuple[str, ...]]:
-    """Images, as good as an array (n, h, w, 4) float32 as stored, and their names (`names_of`), of a list of files or of every image in a
-    directory, 2 before 10. All need an alpha channel and one size. fits: called with n, width and height before any pixel is read. size:
-    (width, height) to average them down to. told: called with how many of how many are read. InputError."""
-    if isinstance(source, str | Path):
-        if not is_folder(Path(source)):
-            raise InputError(f"image directory {shown(source)} does not exist; check the path, or give a list of files")
-        files = sorted((file for file in Path(source).iterdir() if file.suffix.lower() in IMAGE_SUFFIXES), key=lambda f: natural(f.name))
-    else:
-        files = [Path(file) for file in source]
-    if not files:
-        below = sum(file.suffix.lower() in IMAGE_SUFFIXES for file in Path(source).glob("*/*")) if isinstance(source, str | Path) else 0
-        hint = f"its folders have {below}: give a list of files" if below else f"give at least one of {', '.join(IMAGE_SUFFIXES)}"
-        raise InputError(f"no image in {shown(source)}; {hint}")
-    sizes = [picture_size(file) for file in files]
-    for file, (w, h) in zip(files, sizes):
-        if (w, h) != sizes[0]:
-            raise InputError(f"image {shown(file)} is {w}x{h}, but {shown(files[0])} is {sizes[0][0]}x{sizes[0][1]}; "
-                             "all views need one size")
-    if fits is not None:
-        fits(len(files), *sizes[0])
-    return Pictures(files, _rgba, sizes[0], size, told), names_of(files)
-
-
-def _rgba(data: bytes, file: Path) -> np.ndarray:
-    """The picture in the bytes of a file."""
-    with opened(data, "image", "save it again as an RGBA PNG", shown(file)) as image:
-        if not image.has_transparency_data:
-            raise InputError(f"image {shown(file)} has no alpha channel (mode {image.mode}); alpha is the mask; save it as RGBA")
-        return np.asarray(image.convert("RGBA"))
-
-
-def picture_size(path: str | Path) -> tuple[int, int]:
-    """(width, height) of an image file by its header. Raises InputError."""
-    with opened(path, "image", "save it again as an RGBA PNG") as image:
-        return image.size
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -24,7 +25,15 @@ KEPT_BYTES = 1 << 28  # of decoded pictures that stay in memory
 COVERED = 0.5  # alpha from which a pixel counts as the object
 AS_FLOAT = np.arange(256, dtype=np.float32) / np.float32(255.0)  # what 8 bits stand for
 
-Read = Callable[[bytes, Path], np.ndarray]  # the bytes of a file and its name -> (h, w, 4) uint8, straight RGBA as stored
+
+class Reading(Protocol):
+    """How one picture is had. files: whose bytes say all of it, the picture's own first; size: its (width, height)."""
+
+    files: tuple[Path, ...]
+    size: tuple[int, int]
+
+    def __call__(self, *data: bytes) -> np.ndarray:
+        """The picture (h, w, 4) in the bytes of the files: uint8, straight RGBA as stored. Raises InputError."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +59,20 @@ class Mask:
 
 
 class Pictures:
-    """n pictures of one size, RGBA: for NumPy a float32 array (n, h, w, 4) in [0, 1], straight colour as stored, or linear light where
-    `linear`. files: one each; stored: (width, height) of all of them; size: what they are averaged down to, if anything. told: called with
-    how many of how many are read. Raises InputError for the first file that is wrong."""
+    """n pictures, RGBA: for NumPy a float32 array (n, h, w, 4) in [0, 1], straight colour as stored, or linear light where `linear`; of
+    different sizes each is the upper left corner, with zeros beside it. sizes: the (width, height) that each is averaged down to, if
+    anything. told: called with how many of how many are read. Raises InputError for the first file that is wrong."""
 
     dtype, ndim = np.dtype(np.float32), 4
 
-    def __init__(self, files: Sequence[Path], read: Read, stored: tuple[int, int], size: tuple[int, int] | None = None,
+    def __init__(self, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]] | None = None,
                  told: Callable[[int, int], None] | None = None):
-        self.files, self.stored, self.linear = tuple(files), tuple(stored), False
-        self.size = self.stored if size is None else tuple(size)
-        self._read, self._kept = read, {}
-        if not (1 <= self.size[0] <= self.stored[0] and 1 <= self.size[1] <= self.stored[1]):
-            raise InputError(f"size {self.size[0]}x{self.size[1]} for images of {self.stored[0]}x{self.stored[1]}; "
-                             "it must be 1x1 or more and not larger than they are")
+        self.readings, self.linear, self._kept = tuple(readings), False, {}
+        self.sizes = tuple(r.size for r in readings) if sizes is None else tuple(sizes)
+        for (w, h), r in zip(self.sizes, self.readings, strict=True):
+            if not (1 <= w <= r.size[0] and 1 <= h <= r.size[1]):
+                raise InputError(f"size {w}x{h} for images of {r.size[0]}x{r.size[1]}; it must be 1x1 or more and not larger than they are")
+        self.size = tuple(max(s[k] for s in self.sizes) for k in (0, 1))
         found, left = [], KEPT_BYTES
         for k, (digest, mask, image) in enumerate(self._each(self._seen)):
             found.append((digest, mask))
@@ -71,18 +80,23 @@ class Pictures:
             if left >= 0:
                 self._kept[k] = image
             if told is not None:
-                told(k + 1, len(self.files))
+                told(k + 1, len(self))
         self.digests, self.masks = (tuple(x) for x in zip(*found))
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """(n, height, width, 4)."""
-        return len(self.files), self.size[1], self.size[0], 4
+        return len(self), self.size[1], self.size[0], 4
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Of the pictures, one each."""
+        return tuple(r.files[0] for r in self.readings)
 
     @property
     def bits(self) -> int:
         """Of a channel of `rows`: 8 as stored, 32 (float) where pictures are averaged."""
-        return 8 if self.size == self.stored else 32
+        return 8 if all(size == r.size for size, r in zip(self.sizes, self.readings)) else 32
 
     def copy(self) -> np.ndarray:
         """All of them as an array."""
@@ -94,35 +108,42 @@ class Pictures:
         other.__dict__ |= self.__dict__ | {"linear": True}
         return other
 
-    def resized(self, size: tuple[int, int]) -> Pictures | np.ndarray:
-        """The same averaged to another size, not larger than they are now. Raises InputError."""
-        if self.size != self.stored or self.linear:
-            return np.stack([downsampled(image, size) for image in self])
-        return Pictures(self.files, self._read, self.stored, size)
-
     def rows(self, k: int) -> np.ndarray:
-        """One picture (h, w, 4) as it is: uint8 as stored, float32 where it was averaged; sRGB encoded. Raises InputError, also where the
-        file is no longer the one that it was."""
+        """One picture (h, w, 4) as it is: uint8 as stored, float32 where pictures were averaged; sRGB encoded. Raises InputError, also
+        where the file is no longer the one that it was."""
+        image, (_, height, width, _) = self._rows(k), self.shape
+        if self.bits == 32 and image.dtype == np.uint8:
+            image = AS_FLOAT[image]
+        if image.shape[:2] == (height, width):
+            return image
+        whole = np.zeros((height, width, 4), image.dtype)
+        whole[:image.shape[0], :image.shape[1]] = image
+        return whole
+
+    def _rows(self, k: int) -> np.ndarray:
         if k in self._kept:
             return self._kept[k]
         digest, _, image = self._seen(k)
         if digest != self.digests[k]:
-            raise InputError(f"image {shown(self.files[k])} has changed since it was read; leave pictures alone while they are used")
+            file = self.readings[k].files[0]
+            raise InputError(f"image {shown(file)} has changed since it was read; leave pictures alone while they are used")
         return image
 
     def _seen(self, k: int) -> tuple[bytes, Mask, np.ndarray]:
-        file = self.files[k]
-        try:
-            data = file.read_bytes()
-        except OSError as error:
-            raise InputError(f"image file {shown(file)} cannot be read: {error.strerror or error}; check the path") from None
-        image = self._read(data, file)
-        if image.shape[1::-1] != self.stored:
-            raise InputError(f"image {shown(file)} is {image.shape[1]}x{image.shape[0]}, not {self.stored[0]}x{self.stored[1]}; all views "
-                             "need one size")
-        if self.size != self.stored:
-            image = downsampled(image, self.size)
-        return hashlib.sha256(data).digest(), Mask.of(image), image
+        reading, data, digest = self.readings[k], [], hashlib.sha256()
+        for file in reading.files:
+            try:
+                data.append(file.read_bytes())
+            except OSError as error:
+                raise InputError(f"image file {shown(file)} cannot be read: {error.strerror or error}; check the path") from None
+            digest.update(data[-1])
+        image = reading(*data)
+        if image.shape[1::-1] != reading.size:
+            raise InputError(f"image {shown(reading.files[0])} is {image.shape[1]}x{image.shape[0]}, not {reading.size[0]}x"
+                             f"{reading.size[1]} any more; leave pictures alone while they are used")
+        if self.sizes[k] != reading.size:
+            image = downsampled(image, self.sizes[k])
+        return digest.digest(), Mask.of(image), image
 
     def _each(self, work: Callable[[int], object]) -> Iterator:
         """What `work` gives of each picture, in order, with a few on their way."""
@@ -141,7 +162,7 @@ class Pictures:
     # ---- as an array
 
     def __len__(self) -> int:
-        return len(self.files)
+        return len(self.readings)
 
     def picture(self, k: int) -> np.ndarray:
         """One picture (h, w, 4), float32."""

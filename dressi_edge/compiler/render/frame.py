@@ -207,6 +207,11 @@ class Frame:
         return to_float((self.pixel.x < size.x) & (self.pixel.y < size.y))
 
     @property
+    def border(self) -> Node | None:
+        """`valid` where pictures have different sizes; None where all texels of a view are its picture's, and no loss needs a mask."""
+        return None if self._sizes is None else self.valid
+
+    @property
     def cell(self) -> tuple[int, int]:
         """Width and height of a view in the frame's images: what `convolve`, `ssim_loss`, `pyramid_l1` and the like want to know."""
         return self.atlas.width, self.atlas.height

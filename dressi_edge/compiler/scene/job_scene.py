@@ -343,7 +343,7 @@ def _value(scene: Scene, term: _Term, frame: Frame, target: Node, background: No
         return OF_MESHES[term.kind](part.positions, part.topology, term.power)
     norm, alpha = NORMS[term.norm], target.w
     cell = {"cell": frame.cell} if term.norm in ("ssim", "pyramid") else {}
-    mask = {"mask": alpha} if term.masked else {}
+    mask = {"mask": alpha} if term.masked else {} if frame.border is None else {"mask": frame.border}
     if term.kind == "silhouette":
         return norm(frame.alpha, alpha, **cell, **mask)
     return norm(frame.color, target.xyz * alpha + background * (1.0 - alpha), **cell, **mask)

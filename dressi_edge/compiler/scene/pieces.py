@@ -57,9 +57,12 @@ def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Lig
 
 
 def seen_meta(program: Program, phases: Sequence[str], cameras: Sequence[Camera], size: tuple[int, int], images) -> dict:
-    """The meta of what is fitted to: phases with their steps, names of the pictures (or None), their size, cameras."""
+    """The meta of what is fitted to: phases with their steps, names of the pictures (or None), their size, and that of each where they
+    differ, cameras."""
+    sizes = [[c.width, c.height] for c in cameras]
     return {"phases": [[spec.name, spec.steps] for spec in program.plans if spec.name in phases],
             "images": list(images or (f"view {k}" for k in range(len(cameras)))), "image_size": list(size),
+            **({} if all(s == list(size) for s in sizes) else {"view_sizes": sizes}),
             "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far] for c in cameras]}
 
 

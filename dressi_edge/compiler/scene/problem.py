@@ -72,7 +72,7 @@ class Loss:
             return MESH_LOSSES[self.kind](part.positions, part.topology, self.power)
         norm = terms.l1 if self.norm == "l1" else terms.l2
         alpha = target.w
-        mask = alpha if self.masked else None
+        mask = alpha if self.masked else frame.border
         if self.kind == "silhouette":
             return norm(frame.alpha, alpha, mask)
         return norm(frame.color, target.xyz * alpha + background * (1.0 - alpha), mask)
@@ -127,8 +127,6 @@ class Problem:
         self.cameras = self.views.cameras if isinstance(self.views, Views) else tuple(self.views)
         if not self.cameras:
             raise InputError("no cameras; at least one view is needed")
-        if len(sizes := {(c.width, c.height) for c in self.cameras}) > 1:
-            raise InputError(f"cameras have sizes {sorted(sizes)}; one size is needed")
         self.pivot = tuple(map(float, middle_of(self.mesh.positions)))
         self.scene = s = Scene(self.cameras, self.background, encode_srgb if self.srgb else None, self.program)
         self.width, self.height = s.width, s.height

@@ -95,14 +95,19 @@ def snapshot(session) -> np.ndarray | None:
     if _has(session, "render.silhouette"):
         alpha = np.asarray(session.get("render.silhouette"))[..., None]
         color = np.asarray(meta_of(session).get("albedo_color", [0.5] * 3), np.float64)
-        return np.concatenate([np.broadcast_to(color, (*alpha.shape[:3], 3)), alpha], axis=-1)
+        return displayed(session, np.concatenate([np.broadcast_to(color, (*alpha.shape[:3], 3)), alpha], axis=-1), encoded=True)
     return None
 
 
-def displayed(session, images: np.ndarray) -> np.ndarray:
-    """RGBA of the session as one looks at it: in [0, 1], sRGB encoded."""
+def displayed(session, images: np.ndarray, encoded: bool = False) -> np.ndarray:
+    """RGBA of the session as one looks at it: in [0, 1], sRGB encoded, nothing beside pictures that are smaller than others."""
     images = np.clip(np.asarray(images, np.float64), 0.0, 1.0)
-    if meta_of(session).get("linear_images"):
+    try:
+        for image, (width, height) in zip(images, meta_of(session).get("view_sizes", ())):
+            image[height:], image[:, width:] = 0.0, 0.0
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"meta.view_sizes is malformed ({error}); compile the bundle again") from None
+    if meta_of(session).get("linear_images") and not encoded:
         images = np.concatenate([linear_to_srgb(images[..., :3]), images[..., 3:]], axis=-1)
     return images
 

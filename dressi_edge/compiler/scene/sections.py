@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from ..io.decode import Masks
 from ..io.mesh import Mesh
 from ..io.meshes import load_mesh, load_texture, normalize
 from ..io.shapes import sphere
@@ -48,32 +49,58 @@ def mesh_of(t: Table, folder: Path) -> Callable[[], Mesh]:
 
 def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None], told: Callable[[int, int], None] | None = None):
     """Reads [views]; gives the table and a function that loads them, and tells how many pictures of how many are read."""
-    t = job.table("views", ("transforms", "gltf", "images", "size", "order", "seed", "color", "near", "far"))
+    t = job.table("views", ("transforms", "gltf", "images", "masks", "backdrop", "alpha", "missing", "size", "order", "seed", "color",
+                            "near", "far"))
     if len(t.has("transforms", "gltf")) != 1:
         raise t.conflict("transforms (a NeRF-style JSON or its folder) or gltf (cameras) is needed, and not both")
     transforms, gltf = t.file("transforms", folder, None), t.file("gltf", folder, None)
-    size = t.numbers("size", 2, None, 1, 16384, whole=True)
+    masks, skip = _masks_of(t, folder), t.word("missing", "error", ("error", "skip")) == "skip"
+    if isinstance(t.get("size", None), list):
+        size = t.numbers("size", 2, None, 1, 16384, whole=True)
+    else:
+        size = t.number("size", None, 1, 16384, whole=True)
     near, far = t.number("near", 0.05, 0.0, above=True), t.number("far", 100.0, 0.0, above=True)
     if far <= near:
         raise t.wrong("far", far, f"a number above near, {near:g}, is needed")
-    if gltf is not None and t.has("near", "far"):
-        raise t.conflict("near and far are for transforms; glTF cameras have their own")
+    if gltf is not None and (wrong := t.has("near", "far", "missing")):
+        raise t.conflict(f"{wrong[0]} is for transforms; " + ("every camera needs its picture" if wrong[0] == "missing" else
+                                                             "glTF cameras have their own near and far"))
     images = t.get("images", None)
     if (gltf is None) != (images is None):
         raise t.conflict("gltf and images belong together; transforms names its images itself")
     if images is not None:
-        listed = images if isinstance(images, list) else [images]
-        if not (listed and all(isinstance(i, str) and i for i in listed)):
-            raise t.wrong("images", images, "a folder or a list of files is needed")
-        listed = [t.path("images", folder, i) for i in listed]
-        images = listed if isinstance(images, list) else listed[0]
+        images = _files_of(t, "images", folder)
 
     def make() -> Views:
         if transforms is not None:
-            return t.checked(load_views, transforms, size, near, far, fits, told)
-        return t.checked(load_gltf_views, gltf, images, size, fits, told)
+            return t.checked(load_views, transforms, size, near, far, fits, told, masks, skip)
+        return t.checked(load_gltf_views, gltf, images, size, fits, told, masks)
 
     return t, make
+
+
+def _files_of(t: Table, key: str, folder: Path) -> Path | list[Path]:
+    """A folder, or a list of files."""
+    value = t.get(key)
+    listed = value if isinstance(value, list) else [value]
+    if not (listed and all(isinstance(i, str) and i for i in listed)):
+        raise t.wrong(key, value, "a folder or a list of files is needed")
+    files = [t.path(key, folder, i) for i in listed]
+    return files if isinstance(value, list) else files[0]
+
+
+def _masks_of(t: Table, folder: Path) -> Masks:
+    """Reads what [views] says of masks."""
+    whole = t.get("masks", None) is False
+    files = _files_of(t, "masks", folder) if t.has("masks") and not whole else None
+    premultiplied = t.word("alpha", "straight", ("straight", "premultiplied")) == "premultiplied"
+    if not t.has("backdrop"):
+        return Masks(tuple(files) if isinstance(files, list) else files, whole=whole, premultiplied=premultiplied)
+    if whole:
+        raise t.conflict("backdrop and masks = false are both given; the one cuts the object out, the other takes all")
+    b = t.table("backdrop", ("color", "within"))
+    return Masks(tuple(files) if isinstance(files, list) else files, b.numbers("color", 3, low=0, high=1),
+                 b.number("within", 0.1, 0.0, 1.0, above=True), premultiplied=premultiplied)
 
 
 def soft(t: Table) -> dict:

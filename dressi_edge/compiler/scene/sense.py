@@ -193,8 +193,8 @@ def _check_masks(views: Views, masks: np.ndarray, found: Sight, silhouettes: boo
         what = "0 everywhere" if highest.max() == 0.0 else f"at most {highest.max():.2g}"
         raise InputError(f"the mask is empty: alpha is {what} in {_all(len(views))}; alpha must be 1 where the object is, 0 elsewhere")
     if full.all():
-        extent = np.array(views.images.shape[2:0:-1])
-        filled = np.nan_to_num(found.boxes[:, 2:] - found.boxes[:, :2]).prod(axis=1) >= 0.95 * extent.prod()
+        pixels = np.array([c.width * c.height for c in views.cameras])
+        filled = np.nan_to_num(found.boxes[:, 2:] - found.boxes[:, :2]).prod(axis=1) >= 0.95 * pixels
         text = f"alpha is 255 (opaque) everywhere in {_all(len(views))}, so the mask is the whole picture"
         if silhouettes and not filled.all():
             raise InputError(f"{text}, which no silhouette of the mesh can match; save the object's mask as the alpha")
