@@ -163,7 +163,8 @@ class Case(NamedTuple):
 
 
 DEFAULT_RTOL = 2e-6
-RTOL = {"pow": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "exp": 1e-5, "sigmoid": 1e-5, "sinh": 2e-5, "cosh": 2e-5, "exp2": 1e-5}
+RTOL = {"pow": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "sample_mips": 1e-5, "mip_slopes": 1e-5, "mip_footprint": 1e-5,
+        "exp": 1e-5, "sigmoid": 1e-5, "sinh": 2e-5, "cosh": 2e-5, "exp2": 1e-5}
 SPECIAL = np.array([0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 1e-6, -1e-6, 1e-30, -1e-30, 70.0, -70.0, 16777216.0,
                     -16777217.0, 1e30, -1e30])
 # Outside these domains GLSL leaves the result open, or grants so wide an error that a comparison says nothing.

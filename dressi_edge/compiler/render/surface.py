@@ -15,7 +15,7 @@ from ..graph.functions import compose, constant_table, dot, lookup, maximum, nor
 from ..graph.ir import Node
 from ..graph.optable import as_node
 from .normals import unit_face_normals, vertex_normals
-from .texture import sample_texture
+from .texture import Wrap, level_of_detail, sample_texture
 
 if TYPE_CHECKING:
     from .frame import Frame
@@ -77,10 +77,15 @@ class Surface:
     @cached_property
     def uv(self) -> Node:
         """vec2: texture coordinates, v down. Raises InputError where the mesh has none."""
+        return self.corner(self.uv_corners)
+
+    @property
+    def uv_corners(self) -> np.ndarray:
+        """(F, 3, 2): the texture coordinates of the faces' corners. Raises InputError where the mesh has none."""
         mesh = self.part.mesh
         if mesh.uvs is None:
             raise InputError(f"part {self.part.name}: its mesh has no texture coordinates, and its material reads them")
-        return self.corner(np.asarray(mesh.uvs)[mesh.uv_faces])
+        return np.asarray(mesh.uvs)[mesh.uv_faces]
 
     @cached_property
     def view(self) -> Node:
@@ -142,10 +147,18 @@ class Surface:
 
     def corner(self, values: np.ndarray) -> Node:
         """A constant attribute of the faces' corners, (F, 3, c) for all faces of the mesh. Raises InputError."""
+        return self.frame.fragments.interpolate_constant(self._layer, self._corners(values), self.frame.weights(self.number), self._span)
+
+    def slopes(self, values: np.ndarray) -> tuple[Node, Node]:
+        """How much a constant attribute of the faces' corners (as in `corner`) changes from pixel to pixel, across and down: its
+        derivatives, worked out of the face, without gradient. Raises InputError."""
+        return self.frame.fragments.slopes(self._layer, self._corners(values), self._span)
+
+    def _corners(self, values: np.ndarray) -> np.ndarray:
         values, count = np.asarray(values, float), len(self.part.mesh.faces)
         if values.ndim != 3 or values.shape[:2] != (count, 3) or not 1 <= values.shape[2] <= 4:
             raise InputError(f"part {self.part.name}: an attribute of corners has shape {values.shape}; ({count}, 3, 1 to 4) is needed")
-        return self.frame.fragments.interpolate_constant(self._layer, values, self.frame.weights(self.number), self._span)
+        return values
 
     def per_face(self, values: np.ndarray) -> Node:
         """A constant of each face, (F, c) for all faces of the mesh. Raises InputError."""
@@ -154,11 +167,18 @@ class Surface:
             raise InputError(f"part {self.part.name}: an attribute of faces has shape {values.shape}; ({count}, 1 to 4) is needed")
         return lookup(constant_table(values[self.part.topology.kept]), self.face)
 
-    def texture(self, image: Node, uv: Node | None = None, wrap: str = "repeat", gradient: str = "exact") -> Node:
-        """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; see `texture.sample_texture`."""
+    def texture(self, image: Node, uv: Node | None = None, wrap: Wrap = "repeat", gradient: str = "exact", lod: Node | None = None) -> Node:
+        """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; with a level of detail the
+        trilinear one; see `texture.sample_texture`."""
         if gradient == "inverse_uv" and self.step is None:  # a picture that no phase steps: nobody asks for its gradient
             gradient = "none"
-        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step)
+        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step,
+                              lod=lod)
+
+    def level_of_detail(self, image: Node, corners: np.ndarray | None = None, bias: float = 0.0) -> Node:
+        """The mip level of an image at which a pixel sees texels of its own size, a float; corners: (F, 3, 2) coordinates by which it is
+        sampled, the part's own by default; see `texture.level_of_detail`."""
+        return level_of_detail(*self.slopes(self.uv_corners if corners is None else corners), image.extent, bias)
 
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""

@@ -11,6 +11,8 @@ from . import (
     leaf,
     lookup,
     matrix,
+    mip_gradient,
+    mips,
     pixels,
     raster,
     reduce,

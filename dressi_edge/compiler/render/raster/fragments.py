@@ -201,6 +201,35 @@ class Fragments:
         norm = maximum(b[0] + b[1] + b[2], 1e-5)
         return [x / norm for x in b]
 
+    def slopes(self, layer: Layer, corners: np.ndarray, span: Span | None = None) -> tuple[Node, Node]:
+        """How a constant attribute of corners, (F, 3, c) as in `interpolate_constant`, changes from pixel to pixel across and down at the
+        layer's point: its derivatives, worked out from the face alone. Zero where the face is too thin for fp32 to tell; no gradient.
+
+        An attribute is sum(e u) / sum(e) with the edge functions e of `barycentrics`, which are linear in the point."""
+        topology = (span or self).topology
+        scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
+        h = [stop_gradient(apply("swizzle", lookup(c, layer.face, self.face_boxes), channels="xyw") * scale)
+             for c in self.corners(self.clip, True)]
+        point = stop_gradient(layer.point)
+        a = [x.xy - point * x.z for x in h]
+        e = [_cross2(a[(k + 1) % 3], a[(k + 2) % 3]) for k in range(3)]
+        across = [h[(k + 2) % 3].z * a[(k + 1) % 3].y - h[(k + 1) % 3].z * a[(k + 2) % 3].y for k in range(3)]
+        down = [h[(k + 1) % 3].z * a[(k + 2) % 3].x - h[(k + 2) % 3].z * a[(k + 1) % 3].x for k in range(3)]
+        total = e[0] + e[1] + e[2]
+        size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
+        solid = absolute(total) > size * DEGENERATE
+        inverse = select(solid, 1.0, 0.0) / select(solid, total, 1.0)
+        b = [x * inverse for x in e]
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], _order(topology)[..., None], 1)
+        face = self.face_in_view(layer, span)
+        values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
+        mean = b[0] * values[0] + b[1] * values[1] + b[2] * values[2]
+
+        def slope(by: list[Node]) -> Node:
+            return (by[0] * (values[0] - mean) + by[1] * (values[1] - mean) + by[2] * (values[2] - mean)) * inverse
+
+        return slope(across), slope(down)
+
     @property
     def view(self) -> Node:
         """The view of each pixel."""
