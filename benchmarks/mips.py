@@ -40,17 +40,17 @@ def plane() -> Mesh:
 
 
 def drawn(mesh: Mesh, cameras: Sequence[Camera], texture: np.ndarray, mips: bool, options: argparse.Namespace, folder: Path) -> tuple:
-    """Colours and mask of the first view."""
+    """Colours and mask of the first view, and the session's report."""
     scene = Scene(cameras)
     scene.add(mesh, material=Unlit(Texture(scene.input("texture", texture, kind="image"), mips=mips)))
     seen = scene.frame(HardSoftRas(r=1.0, delta=0.0))
     scene.output("look", color=seen.color, mask=seen.mask)
     scene.compile(options.profile, folder / "look.dressi")
     with runtime.load(folder / "look.dressi", options.device) as session:
-        return np.asarray(session.get("look.color"), float)[0], np.asarray(session.get("look.mask"))[0]
+        return np.asarray(session.get("look.color"), float)[0], np.asarray(session.get("look.mask"))[0], session.report()
 
 
-def errors(options: argparse.Namespace, folder: Path) -> list[dict]:
+def errors(options: argparse.Namespace, folder: Path) -> tuple[list[dict], dict]:
     size, texels = (64, 256) if options.quick else (256, 2048)
     spot = options.data / "meshes" / "spot" / "spot.obj"
     cases = {"plane": (plane(), lambda n: [look_at([0, 0.6, 2.5], [0, 0, -0.5], [0, 1, 0], 50, n, n)]),
@@ -60,15 +60,15 @@ def errors(options: argparse.Namespace, folder: Path) -> list[dict]:
     rows = []
     for name, (mesh, cameras) in cases.items():
         texture = fine(texels)
-        big, hit = drawn(mesh, cameras(size * BY), texture, False, options, folder)
+        big, hit, report = drawn(mesh, cameras(size * BY), texture, False, options, folder)
         truth = big.reshape(size, BY, size, BY, 3).mean((1, 3))
         inside = hit.reshape(size, BY, size, BY).min((1, 3)) > 0
         row = {"case": name}
         for key, mips in (("bilinear", False), ("mips", True)):
-            found, _ = drawn(mesh, cameras(size), texture, mips, options, folder)
+            found, *_ = drawn(mesh, cameras(size), texture, mips, options, folder)
             row[key] = rounded(np.sqrt(((found - truth)[inside] ** 2).mean()))
         rows.append(row | {"ratio": rounded(row["bilinear"] / row["mips"])})
-    return rows
+    return rows, report
 
 
 def scene_of(mesh: Mesh, cameras: Sequence[Camera], size: int, mips: bool, rests: bool) -> Scene:
@@ -91,8 +91,8 @@ def main(arguments: list[str] | None = None) -> None:
     ways = {"bilinear": (False, {"sparse_texels": 1} if options.quick else {}, False), "dense": (False, {"sparse_texels": None}, False),
             "mips": (True, {}, False), "rests": (False, {}, True), "rests, mips": (True, {}, True)}
     with tempfile.TemporaryDirectory(prefix="dressi-mips-") as name_of_folder:
-        folder, results, report = Path(name_of_folder), [], {}
-        found = errors(options, folder) if options.only in "error" else []
+        folder, results = Path(name_of_folder), []
+        found, report = errors(options, folder) if options.only in "error" else ([], {})
         for size in (64,) if options.quick else (256, 512, 1024, 2048):
             opened = {}
             try:

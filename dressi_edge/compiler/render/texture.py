@@ -4,7 +4,7 @@ In: a texture, coordinates over the screen, which pixels are covered. Out: the s
 """
 from __future__ import annotations
 
-from ...cache.errors import InputError
+from ...cache.errors import GraphError, InputError
 from ..graph.functions import absolute, apply, clamp, compose, dot, maximum, select, stop_gradient
 from ..graph.ir import UNIT, Extent, Node
 from ..graph.ops.mips import LEAST, sample_mips
@@ -31,17 +31,17 @@ def _mirrored(u: Node) -> Node:
 def within(uv: Node, wrap: tuple[str, str], extent: Extent, mips: bool) -> tuple[Node, str | tuple[str, str]]:
     """Coordinates and the wrap with which the ops sample as `wrap` says: they know "repeat" and "clamp", the bilinear ones of both axes
     alike. Then what shall not repeat is held between the first texel's centre and the last's."""
-    u, v = uv.x, uv.y
+    if uv.vtype != "vec2":
+        raise GraphError(f"a texture's coordinates must be vec2, got {uv!r}")
     if "mirror" in wrap:
-        u, v = (_mirrored(x) if w == "mirror" else x for x, w in zip((u, v), wrap))
-        uv = compose(u, v)
+        uv = compose(*(_mirrored(x) if w == "mirror" else x for x, w in zip((uv.x, uv.y), wrap)))
     kinds = tuple("repeat" if w == "repeat" else "clamp" for w in wrap)
     if mips:
         return uv, kinds
     if kinds[0] == kinds[1]:
         return uv, kinds[0]
-    held = [x if k == "repeat" else clamp(x, 0.5 / n, 1.0 - 0.5 / n) for x, k, n in zip((u, v), kinds, (extent.width, extent.height))]
-    return compose(*held), "repeat"
+    sizes = extent.width, extent.height
+    return compose(*(x if k == "repeat" else clamp(x, 0.5 / n, 1.0 - 0.5 / n) for x, k, n in zip((uv.x, uv.y), kinds, sizes))), "repeat"
 
 
 def level_of_detail(across: Node, down: Node, extent: Extent, bias: float = 0.0) -> Node:
