@@ -17,7 +17,7 @@ from ...cache.errors import GraphError, InputError
 from ..graph.functions import apply, compose, dot, maximum, normalize, select
 from ..graph.ir import UNIT, Node
 from ..graph.optable import as_node
-from .light import Light, diffuse
+from .light import PLACED, Light, diffuse
 from .surface import Surface
 from .texture import Wrap, wraps_of
 from .tone import decode_srgb
@@ -134,6 +134,17 @@ class Vertex:
         return s.vertex(self.table)
 
 
+@dataclass(frozen=True)
+class Channel:
+    """A source: channels of another one by name, such as "y" or "xyz"."""
+
+    source: Source
+    name: str
+
+    def __call__(self, s: Surface) -> Node:
+        return apply("swizzle", evaluate(self.source, s), channels=self.name)
+
+
 @dataclass(frozen=True, eq=False)
 class Corner:
     """A source: an attribute of faces' corners. table: a float or vec table; faces: (F, 3), which of its entries each corner has."""
@@ -156,6 +167,12 @@ def evaluate(source: Source, surface: Surface) -> Node | float:
     raise InputError(f"{source!r:.60} is no source of a material; a number, three numbers, a node or a function of the surface is needed")
 
 
+def facing(s: Surface, two_sided: bool) -> Node:
+    """The normal to shade with, of length 1; two_sided: turned round where the face is seen from behind."""
+    n = normalize(s.normal)
+    return select(dot(s.geometric_normal, s.to_eye) < 0.0, -n, n) if two_sided else n
+
+
 def _check_lights(lights: Sequence[Light]) -> None:
     if not isinstance(lights, (tuple, list)) or not lights or not all(isinstance(light, Light) for light in lights):
         raise InputError(f"lights are {lights!r:.60}; a sequence of at least one Light is needed")
@@ -175,34 +192,37 @@ class Unlit:
 @dataclass(frozen=True)
 class Lambert:
     """A diffuse surface: color (E / pi max(n.l, 0) + ambient), summed over the lights. A point light of intensity I at distance d gives
-    E = I / d^2."""
+    E = I / d^2. two_sided: faces seen from behind are lit from the side on which one sees them."""
 
     color: Source
     lights: Sequence[Light]
+    two_sided: bool = False
 
     def __post_init__(self) -> None:
         _check_lights(self.lights)
 
     def __call__(self, s: Surface) -> Node:
-        albedo, normal = evaluate(self.color, s), s.normal
-        position = s.position if any(light.kind == "point" for light in self.lights) else normal
+        albedo, normal = evaluate(self.color, s), facing(s, True) if self.two_sided else s.normal
+        position = s.position if any(light.kind in PLACED for light in self.lights) else normal
         return albedo * diffuse(normal, position, self.lights)
 
 
 @dataclass(frozen=True)
 class BlinnPhong:
-    """Lambert, and where a light is in front specular E max(n.h, 0)^gloss, h half way between light and eye (Blinn 1977). gloss > 0."""
+    """Lambert, and where a light is in front specular E max(n.h, 0)^gloss, h half way between light and eye (Blinn 1977). gloss > 0.
+    two_sided: as in `Lambert`."""
 
     color: Source
     specular: Source
     gloss: Source
     lights: Sequence[Light]
+    two_sided: bool = False
 
     def __post_init__(self) -> None:
         _check_lights(self.lights)
 
     def __call__(self, s: Surface) -> Node:
-        n, gloss, shine = normalize(s.normal), evaluate(self.gloss, s), None
+        n, gloss, shine = facing(s, self.two_sided), evaluate(self.gloss, s), None
         for light in self.lights:
             if light.kind == "ambient":
                 continue

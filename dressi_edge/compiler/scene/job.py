@@ -18,7 +18,7 @@ from . import sense
 from .job_scene import SceneJob, parse_scene
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
-from .sections import MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
 
 if sys.version_info >= (3, 11):
@@ -73,7 +73,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     if not phases:
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
     render, settings = _render(job)
-    lights = [light_of(x) for x in job.tables("light", ("kind", "power", "vector"))]
+    lights = [light_of(x) for x in job.tables("light", LIGHT)]
     if settings["shading"] == "unlit" and lights:
         raise InputError(f"{path}: light[0] is given, but render.shading is 'unlit'; "
                          "set render.shading = \"lambert\", or drop it")

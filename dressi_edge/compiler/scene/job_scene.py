@@ -1,8 +1,8 @@
 """Jobs of several parts: [[part]] tables in, a `Scene` out. docs/job.md lists the keys.
 
 A part's parameters are named after it: `<part>.vertices`, `.rotation`, `.translation`, `.scale`, `.texture`, `.colors`, `.color`,
-`.specular`, `.gloss`; those of cameras `camera.rotation` and `camera.translation`; lights as ever. What no phase optimizes is a constant,
-but for textures, colours and lights.
+`.specular`, `.gloss`, `.roughness`, `.metallic`, `.emissive`; that of the picture `exposure`; those of cameras `camera.rotation` and
+`camera.translation`; lights as ever. What no phase optimizes is a constant, but for textures, colours and lights.
 """
 from __future__ import annotations
 
@@ -22,23 +22,29 @@ from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
 from ..render import loss as losses
+from ..render.brdf import LEAST_ROUGHNESS
 from ..render.frame import Frame
 from ..render.geometry import similarity
 from ..render.light import Light
 from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
 from ..render.part import Part
+from ..render.pbr import PBR
 from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
-from ..render.tone import encode_srgb
+from ..render.tone import Tone, encode_srgb
 from . import sense
 from .limits import fits_views
 from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
-from .sections import MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, tone_of, views_of
 from .tables import Table
 
-MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss")}
+MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
+             "pbr": ("color", "roughness", "metallic", "emissive")}
+KINDS = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong, "pbr": PBR}
+NUMBERS = {"specular": (0.3, 0.0), "gloss": (20.0, 1.0), "roughness": (0.5, 0.0, 1.0), "metallic": (0.0, 0.0, 1.0)}  # default, limits
+MAPS = ("roughness", "metallic")  # which may be a texture
 COLORS = ("texture", "colors")
 POSES = ("rotation", "translation", "scale")
 NORMS = {"l1": losses.l1, "l2": losses.l2, "huber": losses.huber, "ssim": losses.ssim_loss, "pyramid": losses.pyramid_l1}
@@ -47,7 +53,7 @@ OF_MESHES = {"laplacian": losses.uniform_laplacian, "cotangent_laplacian": losse
              "normal_consistency": lambda p, t, power: losses.normal_consistency(p, t),
              "edge_length": lambda p, t, power: losses.edge_length(p, t)}
 LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "specular": (0.0, None), "gloss": (1.0, None),
-          "scale": (1e-3, None)}
+          "scale": (1e-3, None), "roughness": (LEAST_ROUGHNESS, 1.0), "metallic": (0.0, 1.0), "emissive": (0.0, None)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +132,12 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
     views_table, make_views = views_of(job, path.parent, fits_views(profiles), told)
     order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
-    render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background"), job.source)
+    render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background", "tone"), job.source)
     srgb, background, common = render.flag("srgb", False), render.numbers("background", 3, (0.0,) * 3, 0, 1), soft(render)
     if srgb and linear:
         raise render.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")
-    lights = [light_of(x) for x in job.tables("light", ("kind", "power", "vector"))]
+    tone = tone_of(render, srgb)
+    lights = [light_of(x) for x in job.tables("light", LIGHT)]
     if lights and all(p.kind == "unlit" for p in parts):
         raise InputError(f"{path}: light[0] is given, but no part's material has a use for it; make one lambert, or drop it")
     phases = [_phase(t, [p.name for p in parts]) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
@@ -150,6 +157,9 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         views = views.linear()
     scene = Scene(views.cameras, background, encode_srgb if srgb else None)
     scene.program.meta.update(linear_albedo=linear or srgb, linear_images=linear)
+    if tone is not None:
+        exposure = scene.parameter("exposure", tone.exposure) if "exposure" in optimized else tone.exposure
+        scene.encode = replace(tone, exposure=exposure)
     builder = _Builder(scene, optimized, lights, linear or srgb)
     for p, mesh in zip(parts, meshes):
         p.table.checked(builder.part, p, mesh)
@@ -185,17 +195,19 @@ def _together(meshes: Sequence[Mesh]) -> Mesh:
 def _known(scene: Scene, parts: Sequence[_PartTable]) -> list[str]:
     """The names of all that may be optimized."""
     of_parts = [f"{p.name}.{key}" for p in parts for key in ("vertices", *POSES, *(k for k in MATERIALS[p.kind] if k != "color"))]
-    return sorted({*scene.parameters, *of_parts, "camera.rotation", "camera.translation"})
+    of_picture = ["exposure"] if isinstance(scene.encode, Tone) else []
+    return sorted({*scene.parameters, *of_parts, *of_picture, "camera.rotation", "camera.translation"})
 
 
 def _part(t: Table, folder: Path) -> _PartTable:
     name = t.word("name")
     if not name.replace("_", "").isalnum():
         raise t.wrong("name", name, "letters, digits and _ are allowed")
-    material = t.table("material", ("kind", "color", "texture_size", "wrap", "specular", "gloss")) if t.has("material") else \
+    material = t.table("material", ("kind", "color", "texture_size", "wrap", "two_sided", *NUMBERS, "emissive")) if t.has("material") else \
         Table({}, f"{t.where}.material", (), t.source)
     kind = material.word("kind", "unlit", tuple(MATERIALS))
-    if wrong := [key for key in material.has("specular", "gloss") if key not in MATERIALS[kind]]:
+    lit = () if kind == "unlit" else ("two_sided",)
+    if wrong := [key for key in material.has(*NUMBERS, "emissive", "two_sided") if key not in (*MATERIALS[kind], *lit)]:
         raise material.conflict(f"{wrong[0]} is no setting of {kind}; drop it")
     color = material.get("color", None)
     if isinstance(color, list):
@@ -203,8 +215,14 @@ def _part(t: Table, folder: Path) -> _PartTable:
     elif color is not None:
         color = material.word("color", allowed=COLORS)
     settings = {"color": color}
-    if kind == "blinn_phong":
-        settings |= {"specular": material.number("specular", 0.3, 0), "gloss": material.number("gloss", 20.0, 1.0)}
+    for key in NUMBERS.keys() & {*MATERIALS[kind]}:
+        default, *limits = NUMBERS[key]
+        mapped = key in MAPS and material.get(key, None) == "texture"
+        settings[key] = "texture" if mapped else material.number(key, default, *limits)
+    if kind == "pbr":
+        settings["emissive"] = material.numbers("emissive", 3, (0.0, 0.0, 0.0), low=0)
+    if lit:
+        settings["two_sided"] = material.flag("two_sided", False)
     pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}
     pose |= {"scale": t.number("scale", low=0.0, above=True)} if t.has("scale") else {}
     return _PartTable(t, name, mesh_of(t, folder), t.word("normals", None, NORMALS), kind, settings,
@@ -262,17 +280,30 @@ class _Builder:
             mesh = linear_mesh(mesh)
         positions, moved = self._positions(p, mesh)
         settings = {"color": self._color(p, mesh)}
-        settings |= {key: self._setting(f"{p.name}.{key}", x) for key, x in p.settings.items() if key != "color"}
+        settings |= {key: self._setting(p, mesh, key) for key in p.settings if key not in ("color", "two_sided")}
+        if "two_sided" in p.settings:
+            settings["two_sided"] = p.settings["two_sided"]
         if p.kind != "unlit":
             settings["lights"] = self._lights(p)
-        make = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong}[p.kind]
+        make = KINDS[p.kind]
         normals = p.normals or ("smooth" if moved or mesh.normals is None else "file")
         if moved and normals == "file":
             raise InputError("normals are \"file\", which do not turn with a part that moves; use flat or smooth")
         return self.scene.add(mesh, positions, make(**settings), p.name, normals)
 
-    def _setting(self, name: str, value):
-        """A number of a material, or the parameter of that name if it is optimized."""
+    def _setting(self, p: _PartTable, mesh: Mesh, key: str):
+        """A setting of a part's material: numbers, or the parameter of that name if it is optimized, or a texture."""
+        name, value = f"{p.name}.{key}", p.settings[key]
+        if value == "texture":
+            if mesh.uvs is None:
+                raise InputError(f"material.{key} is \"texture\", but the mesh has no texture coordinates; give a number, or a mesh that "
+                                 "has them")
+            image = np.full((*p.texture_size[::-1], 1), NUMBERS[key][0])
+            return Texture(self.scene.parameter(name, image, *LIMITS[key], kind="image"), p.wrap or mesh.wrap)
+        return self._number(name, value)
+
+    def _number(self, name: str, value):
+        """Numbers of a material, or the parameter of that name if it is optimized."""
         if name not in self.optimized:
             return value
         low, high = LIMITS[name.rpartition(".")[2]]
@@ -305,7 +336,7 @@ class _Builder:
             start = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None else mesh.colors
             own = self.scene.parameter(f"{named}colors", start, *LIMITS["colors"], kind="table")
             return Vertex(own) if mesh.color_faces is None else Corner(own, mesh.color_faces)
-        return self._setting(f"{named}color", color or (0.5, 0.5, 0.5))
+        return self._number(f"{named}color", color or (0.5, 0.5, 0.5))
 
     def _lights(self, p: _PartTable) -> list[Light]:
         """The lights, of which every part that is lit shares the parameters."""

@@ -16,7 +16,7 @@ from ..io.cameras import Camera
 from ..io.images import linear_to_srgb, srgb_to_linear
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
-from ..render.light import Light
+from ..render.light import PLACED, Light
 from ..render.material import Corner, Texture, Unlit, Vertex
 
 GEOMETRY = "geometry"  # the plan that gives positions which are no values of their own
@@ -52,7 +52,7 @@ def origin_in(meta: Mapping, name: str | None = None) -> np.ndarray:
 
 def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Light]) -> dict:
     """The meta of a frame whose origin is not the input's: where it is, and which values are points in it. Nothing for the input's own."""
-    points = [*vertices, *(f"light{k}.vector" for k, light in enumerate(lights) if light.kind == "point")]
+    points = [*vertices, *(f"light{k}.vector" for k, light in enumerate(lights) if light.kind in PLACED)]
     return {"origin": origin.tolist(), "points": points} if origin.any() else {}
 
 

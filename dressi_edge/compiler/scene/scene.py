@@ -180,11 +180,12 @@ class Scene:
         self.views = posed_views(fixed_views(self.cameras, (self.width, self.height)), rotation, translation, pivot)
 
     def lit(self, lights: Sequence[Light]) -> list[Light]:
-        """The lights with the parameters `light0.power`, `light0.vector`, ... for their numbers, made where they are missing."""
+        """The lights with the parameters `light0.power`, `light0.vector`, `light0.direction`, ... for their numbers, made where they are
+        missing."""
         found = []
         for k, light in enumerate(lights):
             own = {}
-            for key in ("power", "vector"):
+            for key in ("power", "vector", "direction"):
                 name, start = f"light{k}.{key}", getattr(light, key)
                 if start is not None:
                     own[key] = self.parameters[name].node if name in self.parameters else self.parameter(name, start)

@@ -1,6 +1,7 @@
 """What jobs of one mesh and of several parts have in common: views, lights, softness, optimizers, schedules; tables in, values out."""
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,10 @@ from ..render.light import Light
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
+from ..render.tone import CURVES, Tone
 from .tables import NEEDED, Table
 
+LIGHT = ("kind", "power", "vector", "direction", "cone")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
@@ -128,8 +131,22 @@ def light_of(t: Table) -> Light:
     else:
         power = (float(t.number("power", low=0)),) * 3
     if kind == "ambient" and t.has("vector"):
-        raise t.conflict("vector is for directional and point lights; an ambient light has none")
-    return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3))
+        raise t.conflict("vector is for directional, point and spot lights; an ambient light has none")
+    if kind != "spot" and (wrong := t.has("direction", "cone")):
+        raise t.conflict(f"{wrong[0]} is for spot lights; drop it")
+    spot = {"direction": t.numbers("direction", 3)} if kind == "spot" else {}
+    if t.has("cone"):
+        spot["cone"] = tuple(math.radians(a) for a in t.numbers("cone", 2, low=0, high=90))
+    return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3), **spot)
+
+
+def tone_of(render: Table, srgb: bool) -> Tone | None:
+    """Reads render.tone; None where there is none."""
+    if not render.has("tone"):
+        return None
+    t = render.table("tone", ("curve", "exposure", "white"))
+    return t.checked(Tone, t.word("curve", "linear", CURVES), float(t.number("exposure", 0.0, -60, 60)),
+                     float(t.number("white", 4.0, 0.0, above=True)), srgb)
 
 
 def optimizer_of(outer: Table, key: str, steps: int) -> Optimizer:
