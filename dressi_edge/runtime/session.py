@@ -5,7 +5,8 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..cache import bundle as bundles
 from ..cache import vjp
 from ..cache.copies import ENTER, LEAVE, OUTPUT, PHASE
 from ..cache.errors import BundleError, DeviceError, InputError
-from ..cache.layout import CHANNELS, Layout, is_int
+from ..cache.layout import Layout, is_int
 from ..cache.profile import Profile
 from ..cache.reactive import Reactive, Rule
 from ..cache.steps import bounded, check_step
@@ -28,7 +29,7 @@ from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
 from .plans import Plan, profile_stages
 from .record import Recording
-from .transfer import batches, clear, download, upload
+from .transfer import Fill, batches, clear, download, read, upload
 from .work import Work
 
 KIND = (np.float32, np.int32)
@@ -83,7 +84,9 @@ def _serial(method):
 
 class Session:
     """A context manager. Calls from several threads run one after another; docs/embedding.md tells what each error leaves.
-    `bundle`: the variant that runs, of those of the one that was given."""
+    `bundle`: the variant that runs, of those of the one that was given. real: the type of its numbers."""
+
+    real = np.float32
 
     def __init__(self, bundle: bundles.Bundle, device: Device | EmulatedDevice, owns_device: bool = False,
                  profile: str | None = None):
@@ -202,49 +205,91 @@ class Session:
     def set(self, name: str, array) -> None:
         """Give an input or state a new value: an array of `shape(name)`. InputError for a wrong shape, type, NaN, Inf, or
         numbers that are infinite in fp32, or in fp16 if it is stored so."""
-        value = self._value(name, ("input", "state"))
-        stored = self._stored(value)
-        pixels = self._layouts[name].to_image(array, name, stored is np.float16)
-        if CHANNELS[value["type"]] == 3:
-            pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
-        self._put({name: np.ascontiguousarray(pixels, stored)})
+        self.set_all({name: array})
+
+    def set_all(self, arrays: Mapping[str, object]) -> None:
+        """`set` of several in one submission: all of them or, after an error, none."""
+        copies = []
+        for name, array in arrays.items():
+            value = self._value(name, ("input", "state"))
+            stored, layout = self._stored(value), self._layouts[name]
+            copies.append((name, functools.partial(self._fill, value, layout.checked(array, name, stored is np.float16))))
+        self._put(copies)
 
     @_serial
-    def _put(self, arrays: dict[str, np.ndarray], more: tuple = ()) -> None:
+    def _put(self, copies: list[tuple[str, np.ndarray | Fill]], more: tuple = (), trim: bool = False) -> None:
         self._work.settle()  # an interrupted step may yet flip a state
-        self._give_back(arrays)
-        upload(self._work, self._staging, [self._copy(self.values[name]["image"], data) for name, data in arrays.items()],
-               [*self._reactive.set(arrays), *more])
-        self._staging.trim(self._largest)
+        names = [name for name, _ in copies]
+        self._give_back(names)
+        upload(self._work, self._staging, [(*self._handle(self.values[name]["image"]), data) for name, data in copies],
+               [*self._reactive.set(names), *more])
+        if trim:
+            self._staging.trim(self._largest)
 
     def get(self, name: str) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
-        value = self._value(name, ("input", "state", "output"))
-        return self._array(value, self._get(value)).astype(KIND[is_int(value["type"])])
+        return self.get_all([name])[name]
 
-    def _array(self, value: dict, data: bytes) -> np.ndarray:
-        """The user's array of the bytes of its image."""
+    def get_all(self, names: Iterable[str], into: Mapping[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
+        """`get` of several in one submission. into: arrays of their shapes to write some of them to, float32 or int32."""
+        found, readers = {}, {}
+        for name in dict.fromkeys(names):
+            value = self._value(name, ("input", "state", "output"))
+            out = None if into is None else into.get(name)
+            kind, shape = KIND[is_int(value["type"])], self._layouts[name].shape
+            if out is not None and (out.shape != shape or out.dtype != kind or not out.flags.c_contiguous):
+                raise InputError(f"{name} is to be written into {out.dtype} {out.shape}; one piece of {np.dtype(kind)} {shape} is needed")
+            found[name] = np.empty(shape, kind) if out is None else out
+            readers[name] = functools.partial(self._take, value, found[name])
+        self._get(readers)
+        return found
+
+    def _pixels(self, value: dict, data: np.ndarray) -> np.ndarray:
+        """Its image (height, width, channels as stored) in these bytes."""
         image = self._d["images"][value["image"]]
-        pixels = np.frombuffer(data, self._stored(value)).reshape(image["height"], image["width"], -1)
-        return self._layouts[value["name"]].from_image(pixels[..., :CHANNELS[value["type"]]])
+        return data.view(self._stored(value)).reshape(image["height"], image["width"], -1)
+
+    def _fill(self, value: dict, array: np.ndarray, place: np.ndarray) -> None:
+        self._layouts[value["name"]].fill(self._pixels(value, place), array)
+
+    def _take(self, value: dict, out: np.ndarray, place: np.ndarray) -> None:
+        self._layouts[value["name"]].take(self._pixels(value, place), out)
 
     def _stored(self, value: dict) -> type:
         """The numbers in its image."""
         return np.float16 if self._d["images"][value["image"]]["format"] in HALF_FORMATS else KIND[is_int(value["type"])]
 
     @_serial
-    def _get(self, value: dict) -> bytes:
+    def _get(self, readers: Mapping[str, Fill]) -> None:
         self._work.settle()
-        if value["role"] == "output":
-            plan = self._giver[value["name"]]
-            if not plan.states:
-                self._refresh(plan)
-            elif not self._runs[plan.name]:
-                raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
-        elif not self._reactive.given.get(value["name"], True):
-            raise InputError(f"{value['name']} has no value yet; set it first")
-        self._give_back([value["name"]])
-        return download(self._work, self._staging, [self._handle(value["image"])])[0]
+        for name in readers:
+            if self.values[name]["role"] == "output":
+                plan = self._giver[name]
+                if not plan.states:
+                    self._refresh(plan)
+                elif not self._runs[plan.name]:
+                    raise InputError(f"{name} is given out by {plan.name}, which has not run yet")
+            elif not self._reactive.given.get(name, True):
+                raise InputError(f"{name} has no value yet; set it first")
+        self._give_back(readers)
+        read(self._work, self._staging, [(*self._handle(self.values[name]["image"]), reader) for name, reader in readers.items()])
+
+    # ---- for bridges into other people's loops (dressi_edge/bridges)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Calls of other threads wait until this context ends."""
+        self._usable()
+        with self._lock:
+            yield
+
+    def reads(self, plan: str) -> tuple[str, ...]:
+        """The inputs and states that a plan, and all that runs for it, depends on."""
+        return tuple(name for name in self._reactive.rules[plan].reads if name in self.values)
+
+    def version(self, name: str) -> int:
+        """Of an input or a state: another number after each change."""
+        return self._reactive.version[name]
 
     # ---- running
 
@@ -410,7 +455,8 @@ class Session:
         for name, data in kept.values.items():
             value = self.values[name]
             if value["role"] != "output" and not is_int(value["type"]):
-                if bad := np.count_nonzero(~np.isfinite(self._array(value, data))):
+                numbers = self._layouts[name].from_image(self._pixels(value, np.frombuffer(data, np.uint8)))
+                if bad := np.count_nonzero(~np.isfinite(numbers)):
                     return f"{name} has {bad} values that are NaN or Inf"
         return ""
 
@@ -438,10 +484,10 @@ class Session:
         if bad := self._not_finite(found):
             raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
         unset = [name for name in self._reactive.given if name not in inputs]
-        self._put({name: np.frombuffer(data, np.uint8) for name, data in found.values.items()},
+        self._put([(name, np.frombuffer(data, np.uint8)) for name, data in found.values.items()],
                   (*((self._runs, name, n) for name, n in found.runs.items()),
                    *self._reactive.unset(unset),
-                   (self.__dict__, "phase", found.phase)))
+                   (self.__dict__, "phase", found.phase)), trim=True)
 
     @_serial
     def report(self) -> dict:

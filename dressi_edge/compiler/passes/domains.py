@@ -8,20 +8,19 @@ drawn as far as the list goes. A plan that gives copies back ("leave") writes in
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...cache.errors import PackError
 from ..graph.ir import Extent, Node, is_int
-from ..graph.optable import COUNT, EMPTY, NEGATIVE, TILE, VERTEX, ZERO
+from ..graph.optable import COUNT, TILE, VERTEX
+from .constants import constant_value
 from .plans import LEAVE, PlanGraph
 from .substage import KEPT, LISTED, TEXELS, TILES, Domain, Stage, Substage
 
 MIN_COST = 40  # work worth a test
-_IS = {ZERO: lambda x: (x == 0).all(), NEGATIVE: lambda x: (x < 0).all(), EMPTY: lambda x: x[0] >= x[1]}
-
 
 @dataclass(frozen=True)
 class Guard:
@@ -32,26 +31,6 @@ class Guard:
     cone: tuple[Node, ...]
     constants: tuple[int, ...]
     tile: tuple[int, int] | None = None
-
-
-def constant_value(node: Node, known: Mapping[Node, np.ndarray]) -> np.ndarray | None:
-    """The constant value (channels,) of a node given constant inputs, or None."""
-    inputs = [x.op.ref(**x.attrs)[0, 0] if x.op.stage == "inline" else known.get(x) for x in node.inputs]
-    channels = np.zeros(node.channels, np.int64 if is_int(node.vtype) else np.float64)
-    for when in node.op.when:
-        if inputs[when.input] is not None and _IS[when.what](inputs[when.input]):
-            return channels + when.result
-    if node.op.chooses:
-        by, *options = inputs
-        if by is not None and by.size == 1:
-            taken = options[0] if by[0] else options[1]
-            return None if taken is None else channels + taken
-        if all(x is not None for x in options) and np.array_equal(*np.broadcast_arrays(*options)):
-            return channels + options[0]
-    if node.op.stage != "pixel" or node.op.loop or not inputs or any(x is None for x in inputs) or "texel" in node.op.reads:
-        return None
-    value = np.asarray(node.op.ref(*(x[None, None] for x in inputs), **node.attrs))[0, 0]
-    return channels + value if np.isfinite(value).all() else None
 
 
 def _cone(node: Node, inside: set[Node], order: tuple[Node, ...]) -> tuple[Node, ...]:

@@ -20,7 +20,7 @@ from ..graph.ir import COLUMN, Extent, Node, intern, is_int, rebuild, topologica
 from ..graph.ops.compact import compact
 from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
-from .domains import constant_value
+from .constants import constant_value
 from .groups import Group, Lists
 from .simplify import simplify
 from .specialize import dependence

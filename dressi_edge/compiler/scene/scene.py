@@ -330,9 +330,9 @@ class Scene:
                 product = total(dot(node, g))
                 inner = product if inner is None else inner + product
             found = gradients(inner, [self.parameters[key].node for key in wrt])
-            dynamic = frozenset(given)
-            self.program.plan(name, outputs=named, dynamic=dynamic, group=name)
-            self.program.plan(f"{name}.vjp", dynamic=dynamic, group=name, outputs={
+            dynamic, moving = frozenset(given), frozenset(wrt)
+            self.program.plan(name, outputs=named, dynamic=dynamic, group=name, moving=moving)
+            self.program.plan(f"{name}.vjp", dynamic=dynamic, group=name, moving=moving, outputs={
                 f"{name}.{key}.grad": (g, self.program.values[key].layout) for key, g in zip(wrt, found)})
             self.program.meta.setdefault("vjp", {})[name] = {"outputs": list(outputs), "wrt": list(wrt)}
 
