@@ -85,6 +85,8 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("-o", "--output", required=True, metavar="X.dressi", help="the bundle to write")
     sub.add_argument("--storage", choices=("float", "half"), help="half: targets and gradients of pixels lie in images of 16 bits a "
                      "channel; default float, unless all profiles prefer half")
+    sub.add_argument("--compute", choices=("none", "ops", "pixel", "all"), help="what is dispatched to compute shaders instead of being "
+                     "drawn, where the profile allows it (docs/packing.md); default as the profile prefers")
     json_switch(sub)
 
     sub = command("run", "solve a bundle: step its phases and write the mesh, pictures and numbers")

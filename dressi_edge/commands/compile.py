@@ -23,7 +23,8 @@ def compile_job(args) -> None:
     from ..compiler.backend.needs import shadowed
     from ..compiler.scene.job import load_job
     start = time.perf_counter()
-    description = load_job(args.job, profiles, _told if sys.stderr.isatty() else None).compile(profiles, args.output, storage=args.storage)
+    job = load_job(args.job, profiles, _told if sys.stderr.isatty() else None)
+    description = job.compile(profiles, args.output, storage=args.storage, compute=args.compute)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
     plans = {d["profile"]["name"]: summary(d) for d in variants}
@@ -35,7 +36,7 @@ def compile_job(args) -> None:
     for later, earlier in shadowed(variants).items():
         print(f"note: {later} is never chosen for what a device has: {earlier} comes before it and needs no more")
     for d in variants:
-        print(f"for profile {d['profile']['name']}, {len(d['pipelines'])} pipelines:")
+        print(f"for profile {d['profile']['name']}, {len(d['pipelines']) + len(d.get('computes', ()))} pipelines:")
         for name, row in plans[d["profile"]["name"]].items():
             print(f"  {name}: " + ", ".join(f"{row[key]} {key}" for key in ("functions", "substages", "stages", "pipelines")))
     sys.stdout.flush()

@@ -21,6 +21,8 @@ from .backend.emit import emit
 from .backend.needs import needs
 from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
+from .passes.compute import choose as choose_compute
+from .passes.compute import find_compute
 from .passes.domains import find_domains
 from .passes.groups import grouped, lowered
 from .passes.lists import MIN_TEXELS, find_lists
@@ -36,8 +38,9 @@ class Options:
     """How to compile. naive: one function a pass; cache=False: nothing is computed beforehand; stage_packing=False: one substage a pass;
     domains=False: everything is drawn that need not keep what it does not write. These are twins of the same bits, for comparison.
     storage: "half" stores targets and gradients of pixels in 16 bits a channel (docs/numerics.md), "float" does not; by default half
-    if all profiles prefer it. sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none
-    where it is None."""
+    if all profiles prefer it. compute: what is dispatched instead of drawn, where the profile allows it: "none"; "pixel", pixelwise
+    work that leaves nothing undrawn; "all", the rest of it, too; by default as the profile prefers. The bits are the same.
+    sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none where it is None."""
 
     naive: bool = False
     cache: bool = True
@@ -45,6 +48,7 @@ class Options:
     storage: str | None = None
     sparse_texels: int | None = MIN_TEXELS
     domains: bool = True
+    compute: str | None = None
 
     @property
     def lists(self) -> int | None:
@@ -54,7 +58,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Built:
-    """description and blobs: the bundle. plans: as packed, with `stages`; shaders: the GLSL of each, ("vert" or "frag", text)."""
+    """description and blobs: the bundle. plans: as packed, with `stages`; shaders: the GLSL of each, ("vert", "frag" or "comp", text)."""
 
     description: dict
     blobs: list[bytes]
@@ -86,7 +90,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]
-    packed = checked("packed", tuple(replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed))
+    packed = [replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed]
+    kind = choose_compute(options.compute, profile)
+    packed = checked("packed", tuple(replace(plan, stages=find_compute(plan.stages, profile, kind)) for plan in packed))
     places = checked("placed", allocate(program, packed))
     code = [emit(plan.stages, profile) for plan in packed]
     see("shaders", glsl := shaders(code))

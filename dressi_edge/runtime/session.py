@@ -121,9 +121,10 @@ class Session:
     # ---- opening and closing
 
     def _open(self) -> None:
-        self._work, self._staging = Work(self.device), Staging(self.device)
+        self._work, self._staging = Work(self.device, bool(self._d.get("computes"))), Staging(self.device)
         self._images = Images(self.device, self._d["images"], self._depth_format)
-        self._work.begin(functools.partial(clear, self._images))  # the device does this while the driver compiles
+        self._work.begin(functools.partial(clear, self._images, compute=self._work.compute))
+        # the device does this while the driver compiles
         try:
             self._store = PipelineStore(self.device, self.bundle.digest)
             self._pipelines = Pipelines(self.device, self.bundle, self._depth_format, self._store.handle)
@@ -499,4 +500,5 @@ class Session:
                 "runs": dict(self._runs), "skipped": skipped,
                 "texels": self._d["meta"].get("texels", {}),
                 "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
-                "pipelines": len(self._d["pipelines"]), "pipeline_cache": self._store.state, "time": time.time()}
+                "pipelines": len(self._d["pipelines"]) + len(self._d.get("computes", ())), "pipeline_cache": self._store.state,
+                "time": time.time()}

@@ -21,8 +21,8 @@ Fill = Callable[[np.ndarray], None]  # writes, or reads, the bytes of an image w
 Copy = tuple[int, dict, np.ndarray | Fill]  # image handle, its record, its bytes as uint8
 
 
-def clear(images: Images, c: int) -> None:
-    """Bring every image to GENERAL, zero."""
+def clear(images: Images, c: int, compute: bool = False) -> None:
+    """Bring every image to GENERAL, zero; `compute`: dispatches may follow."""
     barriers, wipes = [], []
     for record, handles in zip(images.records, images.handles):
         aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
@@ -39,7 +39,7 @@ def clear(images: Images, c: int) -> None:
     for handle in wipes:
         vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
                               [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
-    wait(c)
+    wait(c, compute)
 
 
 def _offsets(sizes: list[int]) -> tuple[list[int], int]:
@@ -65,10 +65,10 @@ def upload(work: Work, staging: Staging, copies: Sequence[Copy], changes: Sequen
             place[...] = data
 
     def copy(c: int) -> None:
-        wait(c)
+        wait(c, work.compute)
         for offset, (handle, record, _) in zip(offsets, copies):
             vk.CmdCopyBufferToImage(c, staging.buffer, handle, vk.VK_IMAGE_LAYOUT_GENERAL, [region(record, offset)])
-        wait(c)
+        wait(c, work.compute)
 
     work.once(copy, changes)
 
@@ -100,7 +100,7 @@ def read(work: Work, staging: Staging, images: Sequence[tuple[int, dict, Fill]])
     staging.reserve(total)
 
     def copy(c: int) -> None:
-        wait(c)
+        wait(c, work.compute)
         for offset, (handle, record, _) in zip(offsets, images):
             vk.CmdCopyImageToBuffer(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, staging.buffer, [region(record, offset)])
         vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TRANSFER_BIT, vk.VK_PIPELINE_STAGE_HOST_BIT, 0, pMemoryBarriers=[
