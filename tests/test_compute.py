@@ -168,8 +168,7 @@ def test_what_draws_alone_is_written_as_before(tmp_path):
 
 
 def test_a_job_is_compiled_so_from_the_command_line(tmp_path):
-    job, path = tmp_path / "job.toml", tmp_path / "job.dressi"
-    job.write_text(jobs.TINY)
+    job, path = jobs.write_job(tmp_path), tmp_path / "job.dressi"
     assert not main(["compile", str(job), "-p", "lavapipe", "-o", str(path), "--compute", "pixel"])
     assert bundle.read(path).description["computes"] and path.read_bytes()[8] == 4
 
