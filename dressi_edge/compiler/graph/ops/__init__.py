@@ -3,6 +3,7 @@
 from .. import operators
 from . import (
     arithmetic,
+    bins,
     compact,
     contour,
     half,
@@ -16,6 +17,7 @@ from . import (
     pixels,
     raster,
     reduce,
+    soft,
     stencil,
     tables,
     texture,

@@ -109,7 +109,10 @@ class Span:
 
 class Fragments:
     """What a renderer gives, and what all of them share: one layer or more, how they compose, and attributes at their points. faces:
-    whether it matters which face a pixel shows, and not only whether there is one."""
+    whether it matters which face a pixel shows, and not only whether there is one. at_corners: `color` takes colours of the three corners
+    of each face, tables of views x faces, not of pixels."""
+
+    at_corners = False
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         self.clip, self.topology, self.atlas, self.softness, self.near, self.faces = clip, topology, atlas, softness, near, faces
@@ -130,6 +133,11 @@ class Fragments:
         t = self.topology
         behind = count_set(select(stop_gradient(self.clip).w >= self.near, 0, 1)) if t.closed.any() else constant_table(np.ones(1, int))
         return apply("rasterize_covered", self.clip, constant_table(np.column_stack([t.faces, t.closed])), behind, **self.draw)
+
+    @property
+    def drawn(self) -> Node:
+        """What is there once it is drawn which faces pixels show."""
+        return self.front
 
     def _listed_segments(self, edges: Compact) -> Node:
         """Those of listed edges."""
@@ -266,7 +274,7 @@ class Fragments:
                             span: Span | None = None) -> Node:
         """An attribute of corners at the layer's point: a table, and (F, 3) which entry each corner has, of all of the mesh's faces."""
         weights, topology = weights or self.barycentrics(layer), (span or self).topology
-        index = np.take_along_axis(np.asarray(faces)[topology.kept], _order(topology), 1)
+        index = np.take_along_axis(np.asarray(faces)[topology.kept], order_of(topology), 1)
         face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
         values = [lookup(lookup(attribute, np.tile(index[:, k], self.atlas.views)), face, boxes) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
@@ -279,12 +287,12 @@ class Fragments:
                              span: Span | None = None) -> Node:
         """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
         weights, topology = weights or self.barycentrics(layer), (span or self).topology
-        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], _order(topology)[..., None], 1)
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
 
-def _order(topology: Topology) -> np.ndarray:
+def order_of(topology: Topology) -> np.ndarray:
     """(F, 3): which corner of each face as the mesh has it is the first, second and third of the sorted one."""
     return np.argsort(topology.faces, axis=1, kind="stable")
