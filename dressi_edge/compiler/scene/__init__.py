@@ -40,5 +40,11 @@ from ..render.tone import Tone, decode_srgb, encode_srgb
 from .problem import Loss, Problem
 from .scene import Scene
 
-from ..render.pbr import PBR
-from ..render.raster import Binned, HardSoftRas, Outline, Renderer, Softness
+__all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner", "F",
+           "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "PBR", "Problem", "Product",
+           "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Tone", "Unlit",
+           "Vertex", "Views", "blend_shapes", "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "decode_srgb",
+           "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited",
+           "linear_mesh", "linear_model", "load_mesh", "load_parts", "load_views", "look_along", "look_at", "mean_square",
+           "normal_consistency", "normal_loss", "op", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts",
+           "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]

@@ -228,7 +228,7 @@ class Fragments:
         solid = absolute(total) > size * DEGENERATE
         inverse = select(solid, 1.0, 0.0) / select(solid, total, 1.0)
         b = [x * inverse for x in e]
-        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], _order(topology)[..., None], 1)
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         mean = b[0] * values[0] + b[1] * values[1] + b[2] * values[2]
