@@ -77,7 +77,7 @@ def scene_of(mesh: Mesh, cameras: Sequence[Camera], size: int, mips: bool, rests
     color = Texture(texture, mips=mips)
     scene.add(mesh, material=Unlit(Product([color, scene.parameter("tint", [1.0, 1.0, 1.0])]) if rests else color))
     seen = scene.frame(HardSoftRas(r=2.0, delta=0.0))
-    photo = scene.input("photo", shape=(len(cameras), *seen.cell[::-1], 3))
+    photo = scene.input("photo", np.full((len(cameras), *seen.cell[::-1], 3), 0.4))
     scene.phase("fit", 1000, {"tint" if rests else "texture": Adam(0.01)}, color=l2(seen.color, photo))
     return scene
 
@@ -101,7 +101,6 @@ def main(arguments: list[str] | None = None) -> None:
                     if options.only in case and options.only != "error":
                         scene_of(mesh, cameras, size, mips, rests).compile(options.profile, folder / "fit.dressi", **how)
                         opened[way] = session = runtime.load(folder / "fit.dressi", options.device)
-                        session.set("photo", np.full(session.shape("photo"), 0.4, np.float32))
                         session.step(5)
                 meters = {way: Meter(lambda s=session: s.step(1, "fit")) for way, session in opened.items()}
                 take_turns(list(meters.values()), options.seconds)

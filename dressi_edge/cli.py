@@ -99,6 +99,7 @@ def parser() -> argparse.ArgumentParser:
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     emulation(sub)
     pinned(sub)
+    sub.add_argument("--scene", action="store_true", help="write lights and cameras into the glTF file, too")
     sub.add_argument("--explain", action="store_true", help="print which variant was taken and why, what ran how often, and what "
                      "the session occupies")
     json_switch(sub)

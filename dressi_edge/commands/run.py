@@ -124,6 +124,8 @@ def _check_output(path: str) -> str:
 def run(args) -> int:
     """The command; its exit code."""
     kind = args.output and _check_output(args.output)
+    if args.scene and not (args.output or "").lower().endswith((".glb", ".gltf")):
+        raise InputError(f"--scene writes lights and cameras into glTF; -o {args.output} is none: give a .glb or .gltf")
     results = None
     if kind == "mesh":
         from ..compiler.scene import results
@@ -143,7 +145,7 @@ def run(args) -> int:
         metrics = {"device": session.device.name, "driver": session.device.driver,
                    "profile": session.report()["profile"], "phases": phases}
         if results:
-            metrics = results.write(session, args.output, curves, before, metrics)
+            metrics = results.write(session, args.output, curves, before, metrics, scene=args.scene)
         elif kind:
             _save_states(session, args.output)
         if args.explain:

@@ -37,6 +37,7 @@ from ..render.schedule import Schedule
 from ..render.subdivision import Subdivision, subdivide
 from ..render.surface import Surface
 from ..render.tone import Tone, decode_srgb, encode_srgb
+from .file_scene import load_scene
 from .problem import Loss, Problem
 from .scene import Scene
 
@@ -45,6 +46,6 @@ __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Ch
            "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Tone", "Unlit",
            "Vertex", "Views", "blend_shapes", "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "decode_srgb",
            "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited",
-           "linear_mesh", "linear_model", "load_mesh", "load_parts", "load_views", "look_along", "look_at", "mean_square",
+           "linear_mesh", "linear_model", "load_mesh", "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square",
            "normal_consistency", "normal_loss", "op", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts",
            "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]

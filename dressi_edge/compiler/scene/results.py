@@ -17,7 +17,8 @@ from ..io.images import linear_to_srgb
 from ..io.mesh import Mesh
 from ..io.views import Views
 from ..io.writers import contact_sheet, loss_curve, save_json, save_mesh, save_parts
-from .pieces import frame_meta, origin_in, pack, parts_of, seen_meta, unpack
+from .material_meta import pack, unpack
+from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, seen_meta
 
 SHOWN = 8  # views in a contact sheet
 
@@ -139,25 +140,27 @@ def check(session) -> None:
         mesh_of(session)
 
 
-def save_result(session, path: str | Path) -> None:
-    """Writes what is on the device now as a mesh file: one surface, or the parts of a scene with their materials."""
+def save_result(session, path: str | Path, lights: bool = False, cameras: bool = False) -> None:
+    """Writes what is on the device now as a mesh file: one surface, or the parts of a scene with their materials; and, as glTF, with its
+    lights and the cameras that it was seen by, where they were when compiled."""
     if "parts" in meta_of(session):
-        save_parts(path, parts_of(session))
+        save_parts(path, parts_of(session), lights_of(session) if lights else (), cameras_of(session) if cameras else ())
     else:
         save_mesh(path, mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
 
 
 def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, float]]], before: np.ndarray | None,
-          metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = ()) -> dict:
+          metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = (), scene: bool = False) -> dict:
     """Writes OUT, and OUT's stem with _sheet.png, _loss.png and _metrics.json; gives the metrics, with what was measured.
 
     curves: losses by phase, (iterations done, loss). before: `snapshot` of the start. extra_rows: more rows for the sheet.
+    scene: the mesh file has lights and cameras, too.
     """
     out = Path(out)
     files = {"mesh": out, "sheet": out.with_name(f"{out.stem}_sheet.png"), "loss": out.with_name(f"{out.stem}_loss.png"),
              "metrics": out.with_name(f"{out.stem}_metrics.json")}
     metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
-    save_result(session, files["mesh"])
+    save_result(session, files["mesh"], lights=scene, cameras=scene)
     after, wanted = snapshot(session), targets(session)
     rows = [(label, images[:SHOWN]) for label, images in
             (("before", before), ("after", after), ("target", wanted), *extra_rows) if images is not None]

@@ -354,13 +354,23 @@ class Scene:
             self._steps, self._frames, self.phases = steps, frames, phases
             raise
 
-    def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
-        """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`."""
+    def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, record: bool = True, **options) -> dict:
+        """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`.
+
+        record: the bundle says what its parts are made of, so that `run -o out.glb` can write them (`pieces.record`)."""
         from .. import compile_program
+        from .pieces import record as meta_of
         self.check()
         profiles, faces = profiles_of(profile), sum(len(part.mesh.faces) for part in self.parts)
         fits_program(self.program, profiles, f"{len(self.cameras)} views of {self.width}x{self.height} and {faces} faces")
-        return compile_program(self.program, profiles, path, **options)
+        before = dict(self.program.meta)
+        try:
+            if record and self.parts:
+                self.program.meta.update(meta_of(self))
+            return compile_program(self.program, profiles, path, **options)
+        finally:
+            self.program.meta.clear()
+            self.program.meta.update(before)
 
     def check(self) -> None:
         """Raises InputError where there is nothing to do, or a parameter that nothing depends on."""
