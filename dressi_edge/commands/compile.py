@@ -22,8 +22,9 @@ def compile_job(args) -> None:
     profiles = [Profile.load(name) for name in args.profile]
     from ..compiler.backend.needs import shadowed
     from ..compiler.scene.job import load_job
+    from ..compiler.scene.targets import Carried
     start = time.perf_counter()
-    job = load_job(args.job, profiles, _told if sys.stderr.isatty() else None)
+    job = load_job(args.job, profiles, _told if sys.stderr.isatty() else None, Carried(args.embed, args.memory))
     description = job.compile(profiles, args.output, storage=args.storage, compute=args.compute)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
@@ -33,6 +34,9 @@ def compile_job(args) -> None:
         return
     phases = " ".join(f"{name} ({steps} steps)" for name, steps in variants[0]["meta"]["phases"])
     print(f"{args.output}: {os.path.getsize(args.output) / 1e6:.2f} MB, phases {phases}, made in {seconds:.1f} s")
+    fed = variants[0]["meta"].get("pictures")
+    if fed is not None and not fed["blobs"]:
+        print(f"its {fed['views']} pictures are not in it: run it with --views DIR, or compile it with --embed")
     for later, earlier in shadowed(variants).items():
         print(f"note: {later} is never chosen for what a device has: {earlier} comes before it and needs no more")
     for d in variants:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from ..cache import bundle as _bundle
 from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
-from ..cache.errors import GraphError, PackError, ProfileError
+from ..cache.errors import GraphError, InputError, PackError, ProfileError
 from ..cache.profile import Profile
 from ..cache.spirv_interface import parse
+from ..cache.summary import image_bytes
 from ..cache.verify import violations
 from .backend import dump, spirv
 from .backend.allocate import allocate
@@ -40,12 +41,14 @@ class Options:
     storage: "half" stores targets and gradients of pixels in 16 bits a channel (docs/numerics.md), "float" does not; by default half
     if all profiles prefer it. compute: what is dispatched instead of drawn, where the profile allows it: "none"; "pixel", pixelwise
     work that leaves nothing undrawn; "all", the rest of it, too; by default as the profile prefers. The bits are the same.
-    sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none where it is None."""
+    sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none where it is None.
+    memory: bytes that all images may take, None for any."""
 
     naive: bool = False
     cache: bool = True
     stage_packing: bool = True
     storage: str | None = None
+    memory: int | None = None
     sparse_texels: int | None = MIN_TEXELS
     domains: bool = True
     compute: str | None = None
@@ -101,6 +104,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed}}
     if texels:
         description["meta"]["texels"] = texels
+    if options.memory is not None and (size := sum(image_bytes(x) * x["slots"] for x in description["images"])) > options.memory:
+        raise InputError(f"the images of the bundle need {size / 1e6:.1f} MB for profile {profile.name}; memory allows "
+                         f"{options.memory / 1e6:.1f} MB; use smaller views, a smaller texture, or more memory")
     interfaces = [parse(blobs[k], f"shaders[{n}]") for n, k in enumerate(description["shaders"])]
     grid = any(draw.grid for plan in code for stage in plan for substage in stage for draw in substage.draws)
     description |= {"profile": {"name": profile.name, "digest": profile.digest}, "needs": needs(description, profile, interfaces, grid),
@@ -127,6 +133,10 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
     made = [build(program, p, options, dump.watcher(p.name if len(profiles) > 1 else "")) for p in profiles]
     description, blobs = ((made[0].description, made[0].blobs) if len(made) == 1 else
                           _bundle.combine([(x.description, x.blobs) for x in made]))
+    for key, extra in program.attached.items():
+        for d in description.get("variants", [description]) if extra else ():
+            d["meta"] = {**d["meta"], key: {**d["meta"][key], "blobs": list(range(len(blobs), len(blobs) + len(extra)))}}
+        blobs = [*blobs, *extra]
     _bundle.write(path, description, blobs, functools.partial(_keeps, profiles))
     return description
 

@@ -19,6 +19,8 @@ from ..passes.substage import KEPT, Stage, Substage
 from .allocate import Allocation, Image, PlacedPlan, PlacedStage, is_copy
 from .emit import ATTACHMENT, SAMPLER, Binding, Code, DrawCode
 
+LARGE_ZERO = 1 << 16  # bytes from which a state that starts with zeros is not in the file
+
 Shader = tuple[str, str]  # "vert", "frag" or "comp", and its GLSL
 
 
@@ -101,8 +103,9 @@ def _values(program: Program, plans: Sequence[PackedPlan], places: Allocation, b
     values = []
     for name, value in program.values.items():
         half = value.node.half is not None
-        initial = None if value.initial is None else blobs.add(
-            _texels(value.layout.to_image(value.initial, name, half), value.layout.vtype, half))
+        texels = None if value.initial is None else _texels(value.layout.to_image(value.initial, name, half), value.layout.vtype, half)
+        zero = program.roles[name] == "state" and texels is not None and len(texels) >= LARGE_ZERO and texels.count(0) == len(texels)
+        initial = None if texels is None or zero else blobs.add(texels)  # a state without is zero
         values.append(record(name, program.roles[name], value.layout, initial))
     copies = dict.fromkeys(x for plan in plans for x in plan.graph.targets if isinstance(x, Node) and is_copy(program, x))
     return values + [record(x.attrs["name"], "copy", Layout("image", x.vtype, x.extent.width, x.extent.height), None) for x in copies]

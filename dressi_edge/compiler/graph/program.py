@@ -6,7 +6,7 @@ refused here, when it is said.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -88,12 +88,13 @@ class PlanSpec:
 
 @dataclass
 class Program:
-    """The problem being built."""
+    """The problem being built. attached: bytes that its bundle carries for whoever reads meta, where a map of that name gets `blobs`."""
 
     values: dict[str, Value] = field(default_factory=dict)
     roles: dict[str, str] = field(default_factory=dict)
     plans: list[PlanSpec] = field(default_factory=list)
     meta: dict = field(default_factory=dict)
+    attached: dict[str, Sequence[bytes]] = field(default_factory=dict)
 
     def _leaf(self, role: str, name: str, layout: Layout, initial, narrow: bool = False) -> Node:
         check_name(role, name)

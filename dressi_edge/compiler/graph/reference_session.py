@@ -61,6 +61,9 @@ class ReferenceSession:
     def __exit__(self, *_) -> None:
         self.close()
 
+    def ready(self) -> None:
+        """There is nothing to wait for."""
+
     def close(self) -> None:
         """There is nothing to give back."""
 
@@ -74,8 +77,10 @@ class ReferenceSession:
         self._known(name, ("input", "state", "output"))
         return self.program.values[name].layout.shape
 
-    def set(self, name: str, array) -> None:
-        """Give an input or a state an array, as `Session.set`."""
+    def set(self, name: str, array, view: int | None = None) -> None:
+        """Give an input or a state an array, or pictures one of them, as `Session.set`."""
+        if view is not None:
+            array = np.concatenate([(now := self.get(name))[:view], np.asarray(array)[None], now[view + 1:]])
         self.set_all({name: array})
 
     def set_all(self, arrays: Mapping[str, object]) -> None:
@@ -88,9 +93,11 @@ class ReferenceSession:
         self._now.feed.update(found)
         self._versions.update(found.keys())
 
-    def get(self, name: str) -> np.ndarray:
-        """The value of an input, state or output now; what a phase gives out is that of its last iteration, of the states before it."""
-        return self.get_all([name])[name]
+    def get(self, name: str, view: int | None = None) -> np.ndarray:
+        """The value of an input, state or output now; what a phase gives out is that of its last iteration, of the states before it.
+        view: of pictures one alone."""
+        found = self.get_all([name])[name]
+        return found if view is None else found[view]
 
     def get_all(self, names: Iterable[str], into: Mapping[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
         """`get` of several; into: arrays to write some of them to."""

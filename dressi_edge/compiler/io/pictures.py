@@ -67,21 +67,41 @@ class Pictures:
 
     def __init__(self, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]] | None = None,
                  told: Callable[[int, int], None] | None = None):
-        self.readings, self.linear, self._kept = tuple(readings), False, {}
-        self.sizes = tuple(r.size for r in readings) if sizes is None else tuple(sizes)
+        self._begin(readings, [r.size for r in readings] if sizes is None else sizes)
+        found = []
+        for k, (digest, mask, image) in enumerate(self._each(self._seen)):
+            found.append((digest, mask))
+            self._keep(k, image)
+            if told is not None:
+                told(k + 1, len(self))
+        self.digests, self.masks = (tuple(x) for x in zip(*found))
+
+    @classmethod
+    def known(cls, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]], digests: Sequence[bytes]) -> Pictures:
+        """Pictures whose SHA-256 are known, none of them read yet. `masks` is not there."""
+        self = object.__new__(cls)
+        self._begin(readings, sizes)
+        self.digests = tuple(digests)
+        self._other = "is not the one that the bundle was compiled with (its SHA-256 is another); put that back, or compile again"
+        return self
+
+    def _begin(self, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]]) -> None:
+        self.readings, self.linear, self._kept, self._left = tuple(readings), False, {}, KEPT_BYTES
+        self._other = "has changed since it was read; leave pictures alone while they are used"
+        self.sizes = tuple(sizes)
         for (w, h), r in zip(self.sizes, self.readings, strict=True):
             if not (1 <= w <= r.size[0] and 1 <= h <= r.size[1]):
                 raise InputError(f"size {w}x{h} for images of {r.size[0]}x{r.size[1]}; it must be 1x1 or more and not larger than they are")
         self.size = tuple(max(s[k] for s in self.sizes) for k in (0, 1))
-        found, left = [], KEPT_BYTES
-        for k, (digest, mask, image) in enumerate(self._each(self._seen)):
-            found.append((digest, mask))
-            left -= image.nbytes
-            if left >= 0:
-                self._kept[k] = image
-            if told is not None:
-                told(k + 1, len(self))
-        self.digests, self.masks = (tuple(x) for x in zip(*found))
+
+    def _keep(self, k: int, image: np.ndarray) -> None:
+        if self._left >= image.nbytes and k not in self._kept:
+            self._kept[k], self._left = image, self._left - image.nbytes
+
+    def check(self) -> None:
+        """Raises InputError where a file is not there, or not the one that is known."""
+        for _ in self._each(lambda k: self._data(k)[1]):
+            pass
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -123,27 +143,37 @@ class Pictures:
     def _rows(self, k: int) -> np.ndarray:
         if k in self._kept:
             return self._kept[k]
-        digest, _, image = self._seen(k)
-        if digest != self.digests[k]:
-            file = self.readings[k].files[0]
-            raise InputError(f"image {shown(file)} has changed since it was read; leave pictures alone while they are used")
+        image = self._decoded(k, self._data(k)[0])
+        self._keep(k, image)
         return image
 
-    def _seen(self, k: int) -> tuple[bytes, Mask, np.ndarray]:
-        reading, data, digest = self.readings[k], [], hashlib.sha256()
-        for file in reading.files:
+    def _data(self, k: int) -> tuple[list[bytes], bytes]:
+        """The bytes of a picture's files, and the SHA-256 of them all. Raises InputError, also where that is known and another."""
+        data, digest = [], hashlib.sha256()
+        for file in self.readings[k].files:
             try:
                 data.append(file.read_bytes())
             except OSError as error:
                 raise InputError(f"image file {shown(file)} cannot be read: {error.strerror or error}; check the path") from None
             digest.update(data[-1])
+        found = digest.digest()
+        if found != getattr(self, "digests", {k: found})[k]:
+            names = " or ".join(str(shown(file)) for file in self.readings[k].files)
+            raise InputError(f"image {names} {self._other}")
+        return data, found
+
+    def _seen(self, k: int) -> tuple[bytes, Mask, np.ndarray]:
+        data, digest = self._data(k)
+        image = self._decoded(k, data)
+        return digest, Mask.of(image), image
+
+    def _decoded(self, k: int, data: Sequence[bytes]) -> np.ndarray:
+        reading = self.readings[k]
         image = reading(*data)
         if image.shape[1::-1] != reading.size:
             raise InputError(f"image {shown(reading.files[0])} is {image.shape[1]}x{image.shape[0]}, not {reading.size[0]}x"
                              f"{reading.size[1]} any more; leave pictures alone while they are used")
-        if self.sizes[k] != reading.size:
-            image = downsampled(image, self.sizes[k])
-        return digest.digest(), Mask.of(image), image
+        return image if self.sizes[k] == reading.size else downsampled(image, self.sizes[k])
 
     def _each(self, work: Callable[[int], object]) -> Iterator:
         """What `work` gives of each picture, in order, with a few on their way."""

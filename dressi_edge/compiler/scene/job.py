@@ -20,6 +20,7 @@ from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
 from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
+from .targets import Carried, at_once
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,9 +41,10 @@ class _Phase:
     soft: dict
 
 
-def load_job(path: str | Path, profiles: Sequence[Profile] = (), told: Callable[[int, int], None] | None = None) -> Problem | SceneJob:
+def load_job(path: str | Path, profiles: Sequence[Profile] = (), told: Callable[[int, int], None] | None = None,
+             carried: Carried = Carried()) -> Problem | SceneJob:  # noqa: B008  (frozen)
     """The problem of a job file. What is too large for one of the `profiles` is said before pictures are decoded. told: called with how
-    many pictures of how many are read. Raises InputError, naming the file and the key."""
+    many pictures of how many are read. carried: what the bundle has of them. Raises InputError, naming the file and the key."""
     path = Path(path)
     data = read_bytes(path, "job", MAX_FILE_BYTES)
     try:
@@ -53,19 +55,19 @@ def load_job(path: str | Path, profiles: Sequence[Profile] = (), told: Callable[
         raise InputError(f"{path}: not a job: nested too deeply; repair it") from None
     except ValueError as error:  # a TOMLDecodeError, or a number of thousands of digits
         raise InputError(f"{path}: not TOML: {shown(error)}; repair it") from None
-    return parse_job(document, path, profiles, told)
+    return parse_job(document, path, profiles, told, carried)
 
 
 def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = (),
-              told: Callable[[int, int], None] | None = None) -> Problem | SceneJob:
-    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. profiles, told: as in `load_job`."""
+              told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> Problem | SceneJob:  # noqa: B008  (frozen)
+    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. The rest: as in `load_job`."""
     path = Path(path)
     bounded(document, str(path))
     if "part" in document:
-        return parse_scene(document, path, profiles, told)
+        return parse_scene(document, path, profiles, told, carried)
     job = Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
     make_mesh = mesh_of(job.table("mesh", MESH), path.parent)
-    views_table, make_views = views_of(job, path.parent, fits_views(profiles), told)
+    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
     order = views_table.word("order", "batch", ORDERS)
     seed = views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
@@ -86,7 +88,8 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     albedo = settings["albedo"] or _albedo(phases, mesh)
     textured = None if albedo != "texture" else settings["texture_size"] if mesh.texture is None else mesh.texture.shape[1::-1]
     height, width = views.images.shape[1:3]
-    render.checked(fits_scene, profiles, len(views), width * height, order, len(mesh.positions), len(mesh.faces), textured,
+    drawn = at_once(order, len(views), width, height, carried.whole)
+    render.checked(fits_scene, profiles, drawn, width * height, order, len(mesh.positions), len(mesh.faces), textured,
                    {name for phase in phases for name in phase.optimize}, settings["texture_grad"])
     if linear:
         mesh = linear_mesh(mesh)
@@ -95,6 +98,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     normals = settings["normals"] or ("smooth" if moved or mesh.normals is None else "file")
     problem = render.checked(
         Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights, normals=normals, judged=True,
+        **carried.of(len(views), width, height),
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
     problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
     side = max(problem.width, problem.height)

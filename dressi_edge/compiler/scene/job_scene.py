@@ -39,6 +39,7 @@ from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
 from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, tone_of, views_of
 from .tables import Table
+from .targets import Carried, Targets, at_once, targets_of, windowed
 
 MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
              "pbr": ("color", "roughness", "metallic", "emissive")}
@@ -58,12 +59,15 @@ LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "spe
 
 @dataclass(frozen=True, eq=False)
 class SceneJob:
-    """The scene of a job, its pictures' names, the point that cameras turn about, and what its meta says of its frame."""
+    """The scene of a job, its pictures' names, the point that cameras turn about, what its meta says of its frame, its pictures, and
+    outputs that draw one view, with the input that says which."""
 
     scene: Scene
     images: tuple[str, ...]
     pivot: tuple[float, float, float]
     frame: dict
+    targets: Targets
+    shown: dict[str, str]
 
     @property
     def program(self) -> Program:
@@ -75,12 +79,14 @@ class SceneJob:
 
     def record(self) -> dict:
         """The meta of the bundle."""
-        return {**record(self.scene, self.images), "pivot": list(self.pivot), **self.frame}
+        return {**record(self.scene, self.images), "pivot": list(self.pivot), **self.frame,
+                **self.targets.meta(self.program, self.shown)}
 
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
         """Write the bundle; see `compiler.compile_program`."""
         self.program.meta.update(self.record())
-        return self.scene.compile(profile, path, **options)
+        self.program.attached["pictures"] = self.targets.blobs()
+        return self.scene.compile(profile, path, memory=self.targets.memory, **options)
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,7 @@ class _PhaseTable:
 
 
 def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
-                told: Callable[[int, int], None] | None = None) -> SceneJob:
+                told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
     job = Table(document, "", ("part", "views", "render", "light", "phase"), str(path))
     parts = [_part(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
@@ -129,7 +135,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
     if twice := [p.name for k, p in enumerate(parts) if p.name in [q.name for q in parts[:k]]]:
         raise InputError(f"{path}: two parts are called {twice[0]!r}; give each part a name of its own")
-    views_table, make_views = views_of(job, path.parent, fits_views(profiles), told)
+    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
     order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
     render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background", "tone"), job.source)
@@ -168,15 +174,17 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         for key in phase.optimize:
             if key not in scene.parameters:
                 raise phase.table.conflict(f"optimize.{key} is no parameter of this job; there are: {' '.join(_known(scene, parts))}")
-    targets = scene.program.input("targets", scene.pictures_layout("vec4"), views.images, narrow=True)
+    targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
     side = max(scene.width, scene.height)
     for phase in phases:
         softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
         phase.table.checked(_add_phase, scene, phase, softness, order, seed, targets, background)
-    seen = scene.frame(renderer_of(SHARP))
+    one = windowed(order, len(views), scene.width, scene.height, carried.whole)
+    seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
     scene.output("render", color=compose(seen.color, seen.alpha))
     vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
-    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights))
+    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights), targets,
+                    {"render.color": "render.view"} if one else {})
 
 
 def _placed(p: _PartTable, mesh: Mesh) -> Mesh:
@@ -354,9 +362,9 @@ class _Builder:
         return middle
 
 
-def _add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Node, background) -> None:
+def _add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
     frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed)
-    target, terms = frame.at(targets), {}
+    target, terms = targets.at(frame), {}
     for term in phase.terms:
         name = next(n for n in (term.kind, *(f"{term.kind}{k}" for k in range(2, 99))) if n not in terms)
         terms[name] = (term.weight, term.table.checked(_value, scene, term, frame, target, compose(*background)))

@@ -204,13 +204,18 @@ class Scene:
             raise InputError(f"order is {order!r:.40}; allowed: {' '.join(ORDERS)}")
         if order == "batch":
             return None
-        n, rng = len(self.cameras), np.random.default_rng(seed)
-        table = np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
+        table = self.order_of(order, seed)
         return lookup(constant_table(table), apply("imod", step, len(table)))
 
-    def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0) -> Frame:
+    def order_of(self, order: str, seed: int = 0) -> np.ndarray:
+        """The view of each step, (n,), after which it begins again: order "cycle" or "shuffle"."""
+        n, rng = len(self.cameras), np.random.default_rng(seed)
+        return np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
+
+    def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0,
+              view: Node | None = None) -> Frame:
         """What the cameras see, by a renderer (`Outline()` unless given). With an order other than "batch" one view a step of `phase`; what
-        it is compared with is then `frame.at(pictures)`."""
+        it is compared with is then `frame.at(pictures)`. view: which one is drawn, an int of extent 1x1, such as an input."""
         if not self.cameras:
             raise InputError("no cameras; at least one view is needed")
         if not self.parts:
@@ -218,7 +223,7 @@ class Scene:
         if phase is None and order != "batch":
             raise InputError(f"order {order!r:.40} shows one view a step; name the phase whose steps these are")
         step = None if phase is None else self.step(phase)
-        chosen = self.view_of(step, order, seed)
+        chosen = self.view_of(step, order, seed) if view is None else view
         views, atlas = (self.views, self.atlas) if chosen is None else (self.views.choose(chosen), Atlas(self.width, self.height, 1, 1))
         parts = self.parts
         frame = Frame(Parts(tuple(parts)), views, atlas, renderer or Outline(), self.background, all_views=self.atlas, chosen=chosen,

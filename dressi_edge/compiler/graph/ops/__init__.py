@@ -14,6 +14,7 @@ from . import (
     matrix,
     mip_gradient,
     mips,
+    packed,
     pixels,
     raster,
     reduce,
