@@ -50,6 +50,15 @@ def _steps(text: str) -> int:
     return int(text)
 
 
+def _bytes(text: str) -> int:
+    number, unit = text.strip().upper().removesuffix("B").strip(), 1
+    if number[-1:] in ("K", "M", "G"):
+        number, unit = number[:-1].strip(), 1000 ** ("KMG".index(number[-1]) + 1)
+    if not number.isdecimal() or int(number) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 512MB")
+    return int(number) * unit
+
+
 def parser() -> argparse.ArgumentParser:
     """All commands and their arguments."""
     top = _Parser(prog="dressi-edge", description="A differentiable renderer on plain Vulkan: images in, mesh and texture out.",
@@ -85,6 +94,12 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("-o", "--output", required=True, metavar="X.dressi", help="the bundle to write")
     sub.add_argument("--storage", choices=("float", "half"), help="half: targets and gradients of pixels lie in images of 16 bits a "
                      "channel; default float, unless all profiles prefer half")
+    sub.add_argument("--compute", choices=("none", "ops", "pixel", "all"), help="what is dispatched to compute shaders instead of being "
+                     "drawn, where the profile allows it (docs/packing.md); default as the profile prefers")
+    sub.add_argument("--embed", action=argparse.BooleanOptionalAction, default=None, help="have the pictures in the bundle; else `run "
+                     "--views` reads them; default: where they are few (a million pixels)")
+    sub.add_argument("--memory", type=_bytes, metavar="SIZE", help="what all images may take on the device, such as 512MB; of pictures "
+                     "that are seen one a step, as many are there at a time as fit")
     json_switch(sub)
 
     sub = command("run", "solve a bundle: step its phases and write the mesh, pictures and numbers")
@@ -94,9 +109,11 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("-o", "--output", metavar="OUT", help="OUT.glb, .gltf, .obj or .ply: the mesh, with OUT_sheet.png, "
                      "OUT_loss.png and OUT_metrics.json beside it (needs the compiler's packages); "
                      "OUT.npz: the states as arrays")
+    sub.add_argument("--views", metavar="DIR", help="the folder of the pictures, where the bundle was compiled without them")
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     emulation(sub)
     pinned(sub)
+    sub.add_argument("--scene", action="store_true", help="write lights and cameras into the glTF file, too")
     sub.add_argument("--explain", action="store_true", help="print which variant was taken and why, what ran how often, and what "
                      "the session occupies")
     json_switch(sub)

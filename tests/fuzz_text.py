@@ -73,6 +73,11 @@ scale = 0.9
 material.texture_size = [8, 4]
 [views]
 transforms = "photos"
+masks = "photos"
+backdrop = {color = [0.0, 0.1, 1.0], within = 0.2}
+alpha = "premultiplied"
+size = 20
+missing = "skip"
 order = "shuffle"
 [[light]]
 kind = "directional"
@@ -153,7 +158,7 @@ class Fuzz:
         for text in self.jobs:  # undamaged they are right
             job.load_job(write_job(folder, text))
         self.transforms = json.loads((folder / "photos" / "transforms.json").read_text()) | {
-            "camera_model": "OPENCV", "k1": 0.0, "fl_x": 26.0, "cx": 12.0, "cy": 12.0, "w": 24, "h": 24, "aabb_scale": 4}
+            "camera_model": "OPENCV", "k1": -0.02, "p1": 0.001, "fl_x": 26.0, "cx": 12.0, "cy": 12.0, "w": 24, "h": 24, "aabb_scale": 4}
         self.profiles = [Profile.load(name) for name in ("vulkan_min", "lavapipe")]
         self.texts = [json.loads((Path(job.__file__).parents[3] / "device_profiles" / f"{name}.json").read_text())
                       for name in profile_names()]

@@ -236,6 +236,63 @@ ROWS = [
      "plans[2].stages[0].attachments[0]: what comes after an enter loads the states that it updates"),
     ("leave_next", "copies", [("plans[2].stages[0].attachments[0]", 43)], "plans[2].stages[0].attachments[0]: image 21 is not for this"),
     ("leave_needed", "copies", [("plans[4].needs", [0, 1, 2])], "plans[4].needs[2]: plans[2] updates something"),
+    # compute
+    ("compute_lacks", "counted", [("computes[0].outputs", DROP)], "computes[0] lacks outputs"),
+    ("computes_missing", "counted", [("computes", DROP)], "description lacks computes"),
+    ("computes_none", "counted", [("computes", [])], "plans[0].stages[0].compute is 0; an integer from 0 to -1"),
+    ("computes_map", "counted", [("computes", {})], "computes is a map of 0; a list of at most 65536"),
+    ("computes_too_early", "ops", [("computes", [])], "description has the unknown key 'computes'"),
+    ("compute_shader", "counted", [("computes[0].shader", 2)], "computes[0].shader is 2; an integer from 0 to 1"),
+    ("compute_shader_of_a_draw", "dispatched", [("computes[0].shader", 0)], "computes[0].shader: shader 0 is for the vertex stage"),
+    ("compute_drawn", "dispatched", [("pipelines[0].fragment", 4)], "pipelines[0].fragment: shader 4 is for the compute stage"),
+    ("compute_binding", "counted", [("computes[0].bindings[0]", [10, -1])], "computes[0].bindings[0][0] is 10; allowed: 1 2"),
+    ("compute_binding_row", "counted", [("computes[0].bindings[0]", [2, 32, -1])], "computes[0].bindings[0] is a list of 3; a list of 2"),
+    ("compute_sampler", "dispatched", [("computes[6].bindings[0][1]", 1)], "computes[6].bindings[0][1] is 1; an integer from 0 to 0"),
+    ("compute_no_sampler", "counted", [("computes[0].bindings[0]", [1, 0])], "computes[0].bindings[0][1] is 0; an integer from 0 to -1"),
+    ("compute_binding_kind", "dispatched", [("computes[6].bindings[0]", [2, -1])],
+     "computes[6]: binding 0 is a sampled image; the shader uses a combined image sampler"),
+    ("compute_binding_missing", "counted", [("computes[0].bindings", []), ("plans[0].stages[0].images", [])],
+     "computes[0]: binding 0 is a storage image; the shader uses a sampled image"),
+    ("compute_no_outputs", "counted", [("computes[0].outputs", [])], "computes[0].outputs is a list of 0; at least one is needed"),
+    ("compute_output_format", "counted", [("computes[0].outputs[0].format", 102)], "outputs[0].format is 102; allowed: 97 99 100 108 109"),
+    ("compute_output_load", "counted", [("computes[0].outputs[0].load", 3)], "computes[0].outputs[0].load is 3; an integer from 0 to 2"),
+    ("compute_output_clear", "counted", [("computes[1].outputs[0].clear", 1)], "computes[1].outputs[0].clear is 1; an integer from 0 to 0"),
+    ("compute_output_other", "dispatched", [("computes[6].outputs[0].format", 97), ("images[18].format", 97),
+                                            ("values[4].role", "copy")], "values[4]: its image has format 97"),
+    ("compute_output_written_otherwise", "dispatched", [("computes[3].outputs[1].format", 97), ("images[12].format", 97)],
+     "computes[3].outputs[1].format is 97; the shader writes format 109"),
+    ("compute_output_more", "counted", [("computes[0].outputs[1]", {"format": 100, "load": 2, "clear": 0}),
+                                        ("plans[0].stages[0].outputs[1]", 2)],
+     "computes[0].outputs[1]: the shader has no storage image at binding 2"),
+    ("compute_storage_bound", "dispatched", [("computes[6].outputs[0].store", 0)], "computes[6].outputs[0] has the unknown key 'store'"),
+    ("dispatch_unknown", "counted", [("plans[0].stages[0].width", 1)], "plans[0].stages[0] has the unknown key 'width'"),
+    ("dispatch_of_a_pass", "dispatched", [("plans[1].stages[0].compute", 0)], "plans[1].stages[0] lacks groups"),
+    ("dispatch_groups", "counted", [("plans[0].stages[0].groups", [1, 0, 1])], "stages[0].groups[1] is 0; an integer from 1 to 2147483647"),
+    ("dispatch_axes", "counted", [("plans[0].stages[0].groups", [1, 1])], "stages[0].groups is a list of 2; a list of 3 is needed"),
+    ("dispatch_wait", "counted", [("plans[0].stages[0].wait", 1)], "plans[0].stages[0].wait is 1; a boolean is needed"),
+    ("dispatch_no_wait", "counted", [("plans[0].stages[1].wait", False)], "plans[0].stages[1].wait is false; the stage touches what"),
+    ("dispatch_images", "counted", [("plans[0].stages[0].images", [])], "plans[0].stages[0].images is a list of 0; a list of 1"),
+    ("dispatch_image_usage", "counted", [("plans[0].stages[0].images[0]", 2)], "stages[0].images[0]: image 1 lacks usage 4"),
+    ("dispatch_image_ints", "counted", [("plans[0].stages[0].images[0]", 6), ("plans[0].reads", [1, 0])],
+     "plans[0].stages[0].images[0]: image 3 has format 100; the shader reads integers"),
+    ("dispatch_image_written", "dispatched", [("plans[1].stages[1].images[0]", 12)], "images[0]: image 6 is written by the same stage"),
+    ("dispatch_unread", "counted", [("plans[0].reads", [0])], "plans[0].stages[0] reads 'n', which plans[0].reads lacks"),
+    ("dispatch_late", "dispatched", [("plans[1].stages[2].images[3]", 18)], "plans[1].stages[2] reads image 9, which nothing has written"),
+    ("dispatch_outputs", "counted", [("plans[0].stages[0].outputs", [])], "plans[0].stages[0].outputs is a list of 0; a list of 1"),
+    ("dispatch_output_twice", "dispatched", [("plans[1].stages[3].outputs", [18, 18])], "plans[1].stages[3].outputs names something twice"),
+    ("dispatch_output_format", "counted", [("plans[0].stages[0].outputs[0]", 2)],
+     "plans[0].stages[0].outputs[0]: image 1 of format 100 and usage 9 does not fit the compute pipeline"),
+    ("dispatch_output_usage", "counted", [("images[0].usage", 1)], "outputs[0]: image 0 of format 99 and usage 1 does not fit the compute"),
+    ("dispatch_output_input", "counted", [("images[2].usage", 15), ("plans[0].stages[0].outputs[0]", 4),
+                                          ("plans[0].stages[0].images[0]", 0),
+                                          ("images[0].usage", 13)], "plans[0].stages[0].outputs[0]: image 2 is not for this plan to write"),
+    ("dispatch_count", "counted", [("plans[0].stages[1].count", 2)], "stages[1].count: image 1 is not R32_SINT with usage 1"),
+    ("dispatch_count_written", "counted", [("plans[0].stages[0].count", 0)], "stages[0].count: image 0 is written by the same stage"),
+    ("dispatch_count_given", "counted", [("plans[0].stages[1].count", 4)], "stages[1] draws as often as image 2 says, which is given from"),
+    ("storage_needs", "ops", [("needs.formats.R32_SFLOAT", ["storage"])], "R32_SFLOAT[0] is 'storage'; allowed: sampled color"),
+    ("storage_limits", "ops", [("needs.limits.maxComputeSharedMemorySize", 1)],
+     "needs.limits names 'maxComputeSharedMemorySize', which this reader does not know"),
+    ("storage_of_depth", "dispatched", [("images[16].usage", 40)], "images[16].usage is 40; bits of 32 are allowed"),
     ("variants_plan_steps", "variants", [("variants[1].plans[3].steps", 3)], "variants[1].plans[3].steps is 3; that of variants[0] is 2"),
 ]
 
@@ -249,7 +306,11 @@ def files() -> dict[str, tuple[bytes, str]]:
     def shift(at, x):
         return good[:at] + x + good[at + len(x):]
 
-    several, half, copies = ((FOLDER / f"{name}.dressi").read_bytes() for name in ("variants", "half", "copies"))
+    several, half, copies, compute = ((FOLDER / f"{name}.dressi").read_bytes() for name in ("variants", "half", "copies", "counted"))
+    computing, more = vector("counted")
+    both = bundle.combine([({**vector("ops")[0], "computes": [], "profile": {"name": f"p{k}", "digest": "d"}}, blobs) for k in range(2)])
+    without = bundle.combine([(d, blobs), (d, blobs)])
+    of_compute = next(bytes(more[k]) for k in computing["shaders"])
     entries = bundle.loads(good).description["blobs"]
     moved = {**d, "blobs": [[entries[0][0] + 64, *entries[0][1:]], *entries[1:]]}
     huge = {**d, "blobs": [*entries[:-1], [entries[-1][0], 1 << 40, entries[-1][2]]]}
@@ -257,7 +318,15 @@ def files() -> dict[str, tuple[bytes, str]]:
         "empty": (b"", "0 bytes; a bundle has at least 56"),
         "magic": (shift(0, b"PNG"), "not a bundle: the file does not begin with DRESSI"),
         "line_ends": (shift(6, b"\n"), "not a bundle"),
-        "version": (shift(8, b"\4"), "format version 4; this reader knows 1 to 3"),
+        "version": (shift(8, b"\5"), "format version 5; this reader knows 1 to 4"),
+        "version_without_compute": (shift(8, b"\4"), "description lacks computes"),
+        "version_with_compute": (compute[:8] + b"\3" + compute[9:], "description has the unknown key 'computes'"),
+        "version_of_nothing_computed": (bundle.dumps({**d, "computes": []}, blobs, 4), "version 4; what the file holds is written as"),
+        "variants_without_compute": (bundle.dumps(*both, 4), "format version 4; what the file holds is written as version 2"),
+        "variants_with_compute_too_early": (bundle.dumps(*both, 2), "variants[0]: description has the unknown key 'computes'"),
+        "variants_lack_computes": (bundle.dumps(*without, 4), "variants[0]: description lacks computes"),
+        "compute_shader_too_early": (bundle.dumps({**d, "shaders": [*d["shaders"], len(blobs)]}, [*blobs, of_compute]),
+                                     "shaders[2] is for the compute stage, of which this version of the format has none"),
         "version_without_half": (shift(8, b"\3"), "format version 3; what the file holds is written as version 1"),
         "version_with_half": (half[:8] + b"\1" + half[9:], "format version 1; what the file holds is written as version 3"),
         "version_with_copies": (copies[:8] + b"\1" + copies[9:], "format version 1; what the file holds is written as version 3"),

@@ -159,12 +159,41 @@ def half():
                ("set", "target", data.astype(np.float32)), *seen]
 
 
+def dispatched():
+    """Draws and dispatches that read each other: the soft outline again, with lists and tiles, and a texture by the device's filter."""
+    p, layers, given = _quads("outline")
+    p.plan("render", {}, {"alpha": (layers.silhouette(), Layout("atlas", "float", 16, 12, 3, 2))})
+    texels, uv = p.input("texels", image("vec3", 4, 3), 0.5), p.input("uv", image("vec2", 6, 5), 0.25)
+    p.plan("sample", {}, {"y": (sample_texture(texels, uv, "repeat", "none"), image("vec3", 6, 5))})
+    rng = np.random.default_rng(2)
+    return p, [given, ("get", "alpha"), ("set", "texels", rng.uniform(0, 1, (3, 4, 3)).astype(np.float32)),
+               ("set", "uv", rng.uniform(-1, 2, (5, 6, 2)).astype(np.float32)), ("get", "y")]
+
+
+def counted():
+    """A dispatch as wide as an image on the device says."""
+    p, layout = Program(), image("float", 37, 30)
+    x, n = p.input("x", layout), p.input("n", Layout("unit", "int"), 4)
+    p.plan("map", {}, {"groups": (apply("add", n, 1), Layout("unit", "int")), "y": (apply("sqrt", x) + 1.0, layout)})
+    return p, [("set", "x", np.arange(37 * 30, dtype=np.float32).reshape(30, 37)), ("get", "y"), ("get", "groups")]
+
+
+def _count(d: dict) -> None:
+    """The dispatch over the image goes as far as the one before it says."""
+    first, second = d["plans"][0]["stages"]
+    assert first["groups"] == [1, 1, 1] and second["groups"] == [5, 4, 1] and not second["wait"]
+    second["count"], second["wait"] = first["outputs"][0], True
+
+
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
 TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "lists": 1e-4,
-             "texture": 8e-3, "copies": 1e-4, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3}
-VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, copies, variants, subpasses, half)}
+             "texture": 8e-3, "copies": 1e-4, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3, "dispatched": 8e-3, "counted": 1e-5}
+VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, copies, variants, subpasses, half, dispatched,
+                                   counted)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
-OPTIONS = {"copies": {"sparse_texels": 1}, "half": {"storage": "half"}}  # 1: its texture is too small to be listed otherwise
+OPTIONS = {"copies": {"sparse_texels": 1}, "half": {"storage": "half"},  # 1: its texture is too small to be listed otherwise
+           "dispatched": {"compute": "all"}, "counted": {"compute": "pixel"}}
+CHANGES = {"counted": _count}  # of descriptions, to what the compiler does not write
 
 
 def compiled(name: str) -> tuple[bytes, list]:
@@ -173,6 +202,8 @@ def compiled(name: str) -> tuple[bytes, list]:
     made = [(built.description, built.blobs) for built in (
         build(program, Profile.load(profile), Options(**{"storage": "float"} | OPTIONS.get(name, {})))
         for profile in PROFILES.get(name, (PROFILE,)))]
+    for description, _ in made:
+        CHANGES.get(name, lambda d: None)(description)
     return dumps(*(combine(made) if len(made) > 1 else made[0]), version_of([description for description, _ in made])), steps
 
 

@@ -14,6 +14,7 @@ SMALL = {  # what is given to main(), and what its numbers must say
     "pose": ({"size": 64, "steps": 200}, lambda r: r["start"]["degrees"] > 25 and r["end"]["degrees"] < 1 and r["end"]["shift"] < 0.02),
     "two_objects": ({"size": 64, "steps": 150}, lambda r: min(r["start"].values()) > 0.15 and max(r["end"].values()) < 0.03),
     "gloss": ({"size": 64, "steps": 150}, lambda r: r["start"] > 0.4 and r["end"] < 0.05 and r["texels"] > 0.3),
+    "material": ({"size": 64, "steps": 120}, lambda r: r["psnr"] > 32 and all(b < 0.9 * a for a, b in (r["roughness"], r["metal"]))),
     "blend_shapes": ({"size": 64, "steps": 120}, lambda r: r["end"] < r["start"] / 5),
     "depth_normals": ({"size": 64, "steps": 120}, lambda r: r["end"] < r["start"] / 8),
     "own_optimizer": ({"size": 48, "steps": 100}, lambda r: r["rmsprop"] < r["start"] / 50 and r["adam"] < r["start"] / 50),

@@ -118,6 +118,11 @@ def test_every_parameter_can_be_named(folder):
     ({"light": [{"kind": "ambient", "power": 1}]}, "no part's material has a use for it"),
     ({"mesh": {"path": "pear.glb"}}, "mesh is an unknown key"),
     ({"phase": []}, "phase is missing"),
+    ({"render": {"tone": {"curve": "bright"}}}, "render.tone.curve is 'bright'; allowed: linear reinhard aces filmic"),
+    ({"part": [job()["part"][0] | {"material": {"kind": "lambert", "roughness": 0.5}}]}, "roughness is no setting of lambert; drop it"),
+    ({"part": [job()["part"][0] | {"material": {"kind": "pbr", "roughness": 2}}]}, "material.roughness is 2; a number from 0 to 1"),
+    ({"part": [job()["part"][0] | {"material": {"two_sided": True}}]}, "two_sided is no setting of unlit"),
+    ({"light": [{"kind": "point", "power": 1, "vector": [0, 0, 1], "cone": [1, 2]}]}, "cone is for spot lights; drop it"),
     ({"phase": [job()["phase"][0] | {"optimize": {"cube.vertices": {"rate": 1}}}]}, r"optimize.cube.vertices is no parameter.*ball.scale"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian"}]}]}, "part is missing; loss laplacian is of one part: pear ball"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "color", "power": 2}]}]}, "power is no setting of loss color"),
@@ -128,6 +133,25 @@ def test_every_parameter_can_be_named(folder):
 def test_mistakes_are_named(folder, change, what):
     with pytest.raises(InputError, match=what):
         parse_job(job(**change), folder / "job.toml")
+
+
+def test_a_job_has_metal_and_a_tone_curve(folder, gpu):
+    """A part of kind pbr whose roughness is a texture, under a spot and ambient light, exposed: the phase lowers its loss."""
+    shiny = {"name": "pear", "path": "pear.glb", "material": {"kind": "pbr", "roughness": "texture", "metallic": 0.4, "two_sided": True,
+                                                              "emissive": [0.01, 0.0, 0.0], "texture_size": [24, 16]}}
+    lights = [{"kind": "spot", "power": 30, "vector": [0, 2, 2], "direction": [0, -1, -1], "cone": [10, 40]},
+              {"kind": "ambient", "power": 0.5}]
+    optimize = {"exposure": {"rate": 0.1}, "pear": {"roughness": {"rate": 0.02}, "metallic": {"rate": 0.02}}}
+    fit = {"name": "fit", "steps": 8, "optimize": optimize, "loss": [{"kind": "color"}]}
+    render = {"background": [0.2, 0.2, 0.2], "srgb": True, "tone": {"curve": "aces", "exposure": -0.5}}
+    problem = parse_job(job(part=[shiny, job()["part"][1]], light=lights, phase=[fit], render=render), folder / "job.toml")
+    assert {"exposure", "pear.roughness", "pear.metallic", "light0.direction"} <= problem.scene.parameters.keys()
+    with runtime.load(gpu.compile(problem.program), gpu.device) as session:
+        assert session.get("pear.roughness").shape == (16, 24) and float(session.get("exposure")) == -0.5
+        before = session.loss()
+        session.step(8)
+        assert session.loss() < before and float(session.get("exposure")) != -0.5
+    gpu.silent()
 
 
 def test_parts_in_map_coordinates_come_back_there(folder, tmp_path, gpu):

@@ -137,27 +137,27 @@ def test_many_mutated_bundles_are_judged_alike(player, seed):
     assert sum(same_judgement(player, 10_000, 100 + seed)) == 10_000
 
 
-def with_shader(module: bytes) -> bytes:
-    """A bundle whose fragment shader is this module."""
-    d, blobs = hostile_bundles.vector("ops")
-    blobs[d["shaders"][d["pipelines"][0]["fragment"]]] = module
-    return bundle.dumps(d, blobs)
+def with_shader(module: bytes, compute: bool = False) -> bytes:
+    """A bundle whose fragment or compute shader is this module."""
+    d, blobs = hostile_bundles.vector("counted" if compute else "ops")
+    blobs[d["shaders"][d["computes"][1]["shader"] if compute else d["pipelines"][0]["fragment"]]] = module
+    return bundle.dumps(d, blobs, bundle.version_of([d]))
 
 
-def damaged_shaders(seed: int, count: int):
-    """So many shaders of the vectors with an instruction or a branch changed."""
+def damaged_shaders(seed: int, count: int, compute: bool = False):
+    """So many shaders of the vectors, of those that draw or compute, with an instruction or a branch changed."""
     r, modules = random.Random(seed), set()
     for name in make_vectors.VECTORS:
         b = bundle.read(FOLDER / f"{name}.dressi")
-        modules |= {bytes(b.blob(k)) for k in b.description["shaders"]}
+        modules |= {bytes(b.blob(k)) for k, shader in zip(b.description["shaders"], b.interfaces) if (shader.stage == 32) == compute}
     sound = sorted(x for x in modules if len(x) < 8000)
     for _ in range(count):
         yield fuzz_bundle.mutate_instructions(r.choice(sound), r)
 
 
-def same_judgement_of_shaders(player, modules) -> tuple[int, int]:
+def same_judgement_of_shaders(player, modules, compute: bool = False) -> tuple[int, int]:
     """How many both readers refused and accepted."""
-    made = [with_shader(module) for module in modules]
+    made = [with_shader(module, compute) for module in modules]
     found = player.judge(made)
     for data, told in zip(made, found, strict=True):
         wanted = python_says(data)
@@ -170,6 +170,10 @@ def test_shaders_are_judged_alike(player):
                *(("", row[0]) for row in test_spirv.BODY.values()), *(("", body) for body in test_spirv.SOUND.values())]
     chains = [test_spirv.shader("", test_spirv.CALL, test_spirv.chain(*how)) for how in ((2, 30), (2, 12), (1, 64), (1, 63))]
     same_judgement_of_shaders(player, [*(test_spirv.shader(*one) for one in written), *chains])
+    compute = [test_spirv.COMPUTE, *(test_spirv.COMPUTE.replace(*row[:2]) for row in test_spirv.DIFFERENTLY.values())]
+    same_judgement_of_shaders(player, map(test_spirv.assemble, compute), True)
+    refused, accepted = same_judgement_of_shaders(player, damaged_shaders(5, 300, True), True)
+    assert refused > 150 and accepted > 2
     refused, accepted = same_judgement_of_shaders(player, damaged_shaders(3, 800))
     assert refused > 500 and accepted > 2
 
@@ -177,6 +181,7 @@ def test_shaders_are_judged_alike(player):
 @pytest.mark.full
 def test_many_damaged_shaders_are_judged_alike(player):
     same_judgement_of_shaders(player, damaged_shaders(4, 20_000))
+    same_judgement_of_shaders(player, damaged_shaders(6, 10_000, True), True)
 
 
 @pytest.mark.parametrize("name", ["ops", "texture", *(pytest.param(name, marks=pytest.mark.full) for name in make_vectors.VECTORS)])

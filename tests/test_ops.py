@@ -107,7 +107,8 @@ def test_a_choice_is_one_of_two_inputs(o):
 
 
 # inputs that by their documentation get no gradient
-UNDIFFERENTIATED = {"sample": {0}, "stop_gradient": {0}, "lookup_near": {3, 4}, "capsule_sum": {3, 4}}
+UNDIFFERENTIATED = {"sample": {0}, "stop_gradient": {0}, "lookup_near": {3, 4}, "capsule_sum": {3, 4},
+                    "soft_blend": {0, 1}}
 
 
 def check_gradients(name, arguments, attrs, without=frozenset(), build=None):
@@ -163,7 +164,9 @@ class Case(NamedTuple):
 
 
 DEFAULT_RTOL = 2e-6
-RTOL = {"pow": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "exp": 1e-5, "sigmoid": 1e-5, "sinh": 2e-5, "cosh": 2e-5, "exp2": 1e-5}
+RTOL = {"pow": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "sample_mips": 1e-5, "mip_slopes": 1e-5, "mip_footprint": 1e-5,
+        "exp": 1e-5, "sigmoid": 1e-5, "sinh": 2e-5, "cosh": 2e-5, "exp2": 1e-5,
+        **{o.name: 1e-5 for o in OPS.values() if o.name.startswith("soft_")}}
 SPECIAL = np.array([0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 1e-6, -1e-6, 1e-30, -1e-30, 70.0, -70.0, 16777216.0,
                     -16777217.0, 1e30, -1e30])
 # Outside these domains GLSL leaves the result open, or grants so wide an error that a comparison says nothing.
@@ -175,7 +178,7 @@ DOMAIN = {"log": lambda a: a > 0, "log2": lambda a: a > 0, **dict.fromkeys(("sin
           "shift_left": lambda a, b: (a >= 0) & (a < 1 << 16) & (b >= 0) & (b < 14),
           "shift_right": lambda a, b: (b >= 0) & (b < 31)}
 SPECIAL_INT = np.array([0, 1, -1, 2, 7, 30, -100, 12345, -40000, 2 ** 30, -2 ** 31])
-INTEGER_ONLY = {"idiv", "imod", "shift_left", "shift_right", "bit_and", "bit_or"}
+INTEGER_ONLY = {"idiv", "imod", "shift_left", "shift_right", "bit_and", "bit_or", "bit_count"}
 INTEGER_TOO = {"add", "sub", "neg", "abs", "sign", "min", "max", "copy", "less", "less_equal", "greater", "greater_equal",
                "equal", "not_equal", "stop_gradient"}
 UNARY_BINARY = [o for o in SNIPPETS if o.infer in (elementwise, floats, integers, _compare) or o.name in ("to_float", "to_int")]

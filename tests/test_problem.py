@@ -158,5 +158,3 @@ def test_wrong_phases_are_named():
             problem.phase(*arguments)
     with pytest.raises(InputError, match="no cameras"):
         Problem(bumpy(), [], albedo="constant")
-    with pytest.raises(InputError, match="one size is needed"):
-        Problem(bumpy(), [*cameras(1), *orbit(1, [0], 2.6, 50, (32, 32))], albedo="constant")

@@ -386,6 +386,142 @@ def test_interfaces_and_annotations(change, told):
         parse(data)
 
 
+# ---- compute: (before, after, what is told); where spirv-val asks no more, it takes it
+
+COMPUTE = """OpCapability Shader
+OpMemoryModel Logical GLSL450
+OpEntryPoint GLCompute %main "main" %id
+OpExecutionMode %main LocalSize 8 4 2
+OpDecorate %id BuiltIn GlobalInvocationId
+OpDecorate %size BuiltIn WorkgroupSize
+OpDecorate %picture DescriptorSet 0
+OpDecorate %picture Binding 1
+OpDecorate %picture NonReadable
+OpDecorate %bins DescriptorSet 0
+OpDecorate %bins Binding 2
+OpDecorate %map DescriptorSet 0
+OpDecorate %map Binding 0
+%void = OpTypeVoid
+%action = OpTypeFunction %void
+%int = OpTypeInt 32 1
+%uint = OpTypeInt 32 0
+%float = OpTypeFloat 32
+%v4 = OpTypeVector %float 4
+%i2 = OpTypeVector %int 2
+%u2 = OpTypeVector %uint 2
+%u3 = OpTypeVector %uint 3
+%v3 = OpTypeVector %float 3
+%p_id = OpTypePointer Input %u3
+%id = OpVariable %p_id Input
+%stored = OpTypeImage %float 2D 0 0 0 2 Rgba32f
+%p_stored = OpTypePointer UniformConstant %stored
+%picture = OpVariable %p_stored UniformConstant
+%counted = OpTypeImage %int 2D 0 0 0 2 R32i
+%p_counted = OpTypePointer UniformConstant %counted
+%bins = OpVariable %p_counted UniformConstant
+%image = OpTypeImage %float 2D 0 0 0 1 Unknown
+%p_image = OpTypePointer UniformConstant %image
+%map = OpVariable %p_image UniformConstant
+%zero = OpConstant %uint 0
+%one = OpConstant %uint 1
+%two = OpConstant %uint 2
+%four = OpConstant %uint 4
+%eight = OpConstant %uint 8
+%until = OpConstant %uint 264
+%i0 = OpConstant %int 0
+%f1 = OpConstant %float 1
+%size = OpConstantComposite %u3 %eight %four %two
+%array = OpTypeArray %int %eight
+%p_array = OpTypePointer Workgroup %array
+%p_shared = OpTypePointer Workgroup %int
+%p_texel = OpTypePointer Image %int
+%parts = OpVariable %p_array Workgroup
+%p_v3 = OpTypePointer Workgroup %v3
+%place = OpVariable %p_v3 Workgroup
+%main = OpFunction %void None %action
+%first = OpLabel
+%who = OpLoad %u3 %id
+%at = OpVectorShuffle %u2 %who %who 0 1
+%part = OpAccessChain %p_shared %parts %i0
+OpStore %part %i0
+%old = OpAtomicIAdd %int %part %one %zero %i0
+OpControlBarrier %two %two %until
+%now = OpLoad %int %part
+%out = OpLoad %stored %picture
+%ones = OpCompositeConstruct %v4 %f1 %f1 %f1 %f1
+OpImageWrite %out %at %ones
+%texel = OpImageTexelPointer %p_texel %bins %at %zero
+%before = OpAtomicIAdd %int %texel %one %zero %now
+OpReturn
+OpFunctionEnd
+"""
+DIFFERENTLY = {
+    "another size": ("%size = OpConstantComposite %u3 %eight %four %two", "%size = OpConstantComposite %u3 %eight %four %one", "not go"),
+    "no size": ("OpExecutionMode %main LocalSize 8 4 2\n", "", "without LocalSize"),
+    "size of none": ("LocalSize 8 4 2", "LocalSize 8 0 2", "workgroups of 8 x 0 x 2 invocations; 1 to 65536"),
+    "size of too many": ("LocalSize 8 4 2", "LocalSize 65536 65536 65536", "workgroups of 65536 x 65536 x 65536 invocations"),
+    "two sizes": ("OpExecutionMode %main LocalSize 8 4 2", "OpExecutionMode %main LocalSize 8 4 2\nOpExecutionMode %main LocalSize 8 4 2",
+                  "execution mode 17 is given twice"),
+    "origin": ("OpExecutionMode %main LocalSize 8 4 2", "OpExecutionMode %main LocalSize 8 4 2\nOpExecutionMode %main OriginUpperLeft",
+               "of what is no fragment shader"),
+    "size of something else": ("OpDecorate %size BuiltIn WorkgroupSize", "OpDecorate %eight BuiltIn WorkgroupSize", "does not go"),
+    "position": ("OpDecorate %id BuiltIn GlobalInvocationId", "OpDecorate %id BuiltIn FragCoord", "built-in 15, which this stage has not"),
+    "location": ("OpDecorate %id BuiltIn GlobalInvocationId", "OpDecorate %id Location 0", "of a compute shader that is no built-in"),
+    "unnamed": ('"main" %id', '"main"', "used and not named by the entry point"),
+    "shared is named": ('"main" %id', '"main" %id %parts', "which is no input or output"),
+    "no format": ("OpTypeImage %float 2D 0 0 0 2 Rgba32f", "OpTypeImage %float 2D 0 0 0 2 Unknown", "storage of a format for it"),
+    "format of a feature": ("OpTypeImage %float 2D 0 0 0 2 Rgba32f", "OpTypeImage %float 2D 0 0 0 2 Rg32f", "storage of a format for it"),
+    "format of others": ("OpTypeImage %float 2D 0 0 0 2 Rgba32f", "OpTypeImage %float 2D 0 0 0 2 Rgba32i", "does not hold its numbers"),
+    "three dimensions": ("OpTypeImage %int 2D 0 0 0 2 R32i", "OpTypeImage %int 3D 0 0 0 2 R32i", "storage of a format for it"),
+    "sampled with a format": ("OpTypeImage %float 2D 0 0 0 1 Unknown", "OpTypeImage %float 2D 0 0 0 1 R32f", "storage of a format for it"),
+    "combined": ("%image = OpTypeImage", "%both = OpTypeSampledImage %stored\n%image = OpTypeImage", "of what is no sampled image"),
+    "not to be read": ("OpDecorate %map Binding 0", "OpDecorate %map Binding 0\nOpDecorate %map NonReadable", "have not"),
+    "restricted": ("OpDecorate %bins Binding 2", "OpDecorate %bins Binding 2\nOpDecorate %bins Restrict", "decoration 19 is not allowed"),
+    "shared and bound": ("OpDecorate %bins Binding 2", "OpDecorate %bins Binding 2\nOpDecorate %parts Binding 3", "have not"),
+    "texels of floats": ("%p_texel = OpTypePointer Image %int", "%p_texel = OpTypePointer Image %float", "texels that are float"),
+    "texels of another image": ("%texel = OpImageTexelPointer %p_texel %bins", "%texel = OpImageTexelPointer %p_texel %map", "one integer"),
+    "texels of four": ("%texel = OpImageTexelPointer %p_texel %bins", "%texel = OpImageTexelPointer %p_texel %picture", "of one integer"),
+    "sample one": ("%bins %at %zero", "%bins %at %one", "is no constant 0, as scopes, memory semantics and samples"),
+    "load of a texel": ("%before = OpAtomicIAdd %int %texel %one %zero %now", "%before = OpLoad %int %texel", "is no pointer"),
+    "store of a texel": ("%before = OpAtomicIAdd %int %texel %one %zero %now", "OpStore %texel %now", "is no pointer"),
+    "use of an atomic": ("%now = OpLoad %int %part", "%now = OpIAdd %int %old %i0", "is no value made before"),
+    "atomic of floats": ("%old = OpAtomicIAdd %int %part %one %zero %i0", "%old = OpAtomicIAdd %float %part %one %zero %f1", "a sum"),
+    "atomic of a local": ("%old = OpAtomicIAdd %int %part", "%old = OpAtomicIAdd %uint %part", "a sum of what is no int"),
+    "other scope": ("%old = OpAtomicIAdd %int %part %one", "%old = OpAtomicIAdd %int %part %two", "is no constant 1"),
+    "other semantics": ("%old = OpAtomicIAdd %int %part %one %zero", "%old = OpAtomicIAdd %int %part %one %until", "is no constant 0"),
+    "other atomics": ("%old = OpAtomicIAdd %int %part %one %zero %i0", "%old = OpAtomicISub %int %part %one %zero %i0",
+                      "opcode 235 is not allowed"),
+    "exchange": ("%old = OpAtomicIAdd", "%old = OpAtomicExchange", "opcode 229 is not allowed"),
+    "wait for all": ("OpControlBarrier %two %two %until", "OpControlBarrier %two %one %until", "is no constant 2"),
+    "wait for nothing": ("OpControlBarrier %two %two %until", "OpControlBarrier %two %two %zero", "is no constant 264"),
+    "memory alone": ("OpControlBarrier %two %two %until", "OpMemoryBarrier %two %until", "opcode 225 is not allowed"),
+    "write of ints": ("OpImageWrite %out %at %ones", "OpImageWrite %out %at %who", "not four of its numbers"),
+    "write nowhere": ("OpImageWrite %out %at %ones", "OpImageWrite %out %who %ones", "is no place in an image"),
+    "write of a sample": ("OpImageWrite %out %at %ones", "%seen = OpLoad %image %map\nOpImageWrite %seen %at %ones", "no image to write"),
+    "read of a storage image": ("OpImageWrite %out %at %ones", "%seen = OpImageRead %v4 %out %at", "is no image of a subpass"),
+    "fetch of a storage image": ("OpImageWrite %out %at %ones", "%seen = OpImageFetch %v4 %out %at", "is no image"),
+    "begins with": ("%parts = OpVariable %p_array Workgroup", "%none = OpConstantNull %array\n%parts = OpVariable %p_array Workgroup %none",
+                    "or may not"),
+    "discards": ("OpReturn\n", "OpKill\n", "opcode 252 belongs to fragment shaders"),
+    "takes what is shared": ("%main = OpFunction", "%takes = OpTypeFunction %void %p_shared\n%main = OpFunction", "what invocations share"),
+    "in a fragment shader": ("OpEntryPoint GLCompute %main", "OpEntryPoint Fragment %main", "opcode 16 has 5 operands; 2 are needed"),
+}
+
+
+def test_the_frame_of_compute_shaders_is_sound():
+    data = assemble(COMPUTE)
+    found = parse(data)
+    assert valid(data) and found.local_size == (8, 4, 2) and found.shared_bytes == 4 * 8 + 16  # three of a vector as four
+    assert found.bindings == {0: (2, False, -1), 1: (3, False, 109), 2: (3, True, 99)}
+
+
+@pytest.mark.parametrize("name", DIFFERENTLY)
+def test_what_a_compute_shader_may_not_be_is_refused(name):
+    before, after, told = DIFFERENTLY[name]
+    assert COMPUTE.count(before) == 1
+    refused(assemble(COMPUTE.replace(before, after)), told)
+
+
 VERTEX = """OpCapability Shader
 OpMemoryModel Logical GLSL450
 OpEntryPoint Vertex %main "main" %out

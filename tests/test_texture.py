@@ -271,7 +271,7 @@ def test_wrong_arguments_are_named():
         sample_texture(texture, uv, gradient="inverse_uv")
     with pytest.raises(InputError, match="covered is uv: vec2 23x19; an int over 23x19 is needed"):
         sample_texture(texture, uv, covered=uv)
-    with pytest.raises(GraphError, match="wrap 'mirror'; repeat or clamp is allowed"):
-        sample_texture(texture, uv, "mirror")
+    with pytest.raises(InputError, match="wrap is 'border'; repeat clamp mirror are allowed"):
+        sample_texture(texture, uv, "border")
     with pytest.raises(GraphError, match="coordinates must be vec2"):
         sample_texture(texture, apply("broadcast", apply("literal", value=0.5), extent=UNIT))

@@ -11,9 +11,11 @@ import pytest
 from PIL import Image
 
 from dressi_edge.cache.errors import InputError, InputWarning
+from dressi_edge.compiler.io.averaging import downsampled
 from dressi_edge.compiler.io.cameras import Camera, look_at, orbit, rotation_matrix, rotation_vector
+from dressi_edge.compiler.io.decode import load_images
 from dressi_edge.compiler.io.gltf_cameras import gltf_cameras
-from dressi_edge.compiler.io.images import linear_to_srgb, load_images, names_of, natural, srgb_to_linear
+from dressi_edge.compiler.io.images import linear_to_srgb, names_of, natural, srgb_to_linear
 from dressi_edge.compiler.io.meshes import Mesh, load_mesh, load_texture, normalize
 from dressi_edge.compiler.io.shapes import pear
 from dressi_edge.compiler.io.views import Views, load_gltf_views, load_views
@@ -206,19 +208,20 @@ def test_frame_values_win_and_angles_are_horizontal(folder):
     (lambda d: d.update(fl_x="wide"), "fl_x is 'wide'"),
     (lambda d: d.update(fl_x=-3), "fl_x is -3"),
     (lambda d: [d.pop("fl_x"), d.update(camera_angle_x=40.0)], "camera_angle_x is 40.0; it must be between 0 and pi"),
-    (lambda d: d.update(k1=0.1), "lens distortion k1 is 0.1"),
-    (lambda d: d.update(k5=0.3), "lens distortion k5 is 0.3; only 0 is allowed"),
-    (lambda d: d["frames"][1].update(p2=-1e-9), "frame 1: lens distortion p2 is -1e-09"),
-    (lambda d: d.update(k1="much"), "lens distortion k1 is 'much'"),
+    (lambda d: d.update(k5=0.3), "lens distortion k5 is 0.3; without a camera_model, k1 k2 k3 p1 p2 are read; name the right model"),
+    (lambda d: d.update(k4=0.3, camera_model="OPENCV"), "lens distortion k4 is 0.3; with camera_model OPENCV, k1 k2 k3 p1 p2 are read"),
+    (lambda d: d["frames"][1].update(camera_model="PINHOLE", p2=-1e-9), "frame 1: lens distortion p2 is -1e-09; .*PINHOLE, none is read"),
+    (lambda d: d.update(camera_model="OPENCV_FISHEYE", p1=0.1), "p1 is 0.1; with camera_model OPENCV_FISHEYE, k1 k2 k3 k4 are read"),
+    (lambda d: d.update(k1="much"), "k1 is 'much'; it must be a finite number"),
     (lambda d: d.update(distortion_params=[0, 0.1]), r"distortion_params is \[0, 0.1\]"),
-    (lambda d: d.update(camera_model="OPENCV_FISHEYE"), "camera_model is 'OPENCV_FISHEYE'; only pinhole cameras"),
-    (lambda d: d["frames"][1].update(camera_model="EQUIRECTANGULAR"), "frame 1: camera_model is 'EQUIRECTANGULAR'"),
+    (lambda d: d["frames"][1].update(camera_model="EQUIRECTANGULAR"), "frame 1: camera_model is 'EQUIRECTANGULAR'; allowed: PINHOLE"),
     (lambda d: d.update(camera_model=7), "camera_model is 7"),
-    (lambda d: d.update(is_fisheye=True), "is_fisheye is True; only pinhole"),
+    (lambda d: d.update(equirectangular=True), "equirectangular is True; cameras of one lens and one moment are read"),
     (lambda d: d.update(fisheye_crop_radius=1000.0), "fisheye_crop_radius is 1000.0"),
     (lambda d: d["frames"][0].update(ftheta_p1=0.5), "ftheta_p1 is 0.5"),
     (lambda d: d.update(rolling_shutter=[0.0, 0.0, 0.02]), "rolling_shutter is"),
-    (lambda d: d["frames"][0].update(mask_path="m.png"), "frame 0: mask_path is not read: the mask is the alpha"),
+    (lambda d: d["frames"][0].update(mask_path="m.png"), "frame 0: mask file .*m.png does not exist"),
+    (lambda d: d["frames"][0].update(mask_path=["m.png"]), "frame 0: its mask's path is"),
     (lambda d: d.update(white_transparent=True), "white_transparent is not read"),
     (lambda d: d.update(K=[[9, 0, 4], [0, 9, 3], [0, 0, 1]]), "K is not read: intrinsics are read from fl_x"),
     (lambda d: d.update(fl_X=9), "fl_X is an unknown key; did you mean fl_x"),
@@ -233,6 +236,7 @@ def test_frame_values_win_and_angles_are_horizontal(folder):
     (lambda d: d["frames"][0].update(file_path="\ud800"), "half a surrogate pair"),
     (lambda d: d.update(up=[[[1] * 3]] * 3, aabb=eval("[" * 40 + "]" * 40)), "nests deeper than 32 levels"),
     (lambda d: d.update(w=16), "states 16x6 pixels, but .*000.png has 8x6"),
+    (lambda d: d.update(w=16, h=9), "states 16x9 pixels, but .*000.png has 8x6"),
 ])
 def test_a_malformed_transforms_file_is_named(folder, change, message):
     with pytest.raises(InputError, match=message) as caught:
@@ -308,7 +312,7 @@ def test_images_need_alpha_one_size_and_to_be_images(folder):
         load_views(folder)
     Image.new("RGBA", (9, 6)).save(folder / "001.png")
     with pytest.raises(InputError, match="001.png is 9x6, but .*000.png is 8x6"):
-        load_views(folder)
+        load_images(folder)
     (folder / "001.png").write_bytes((folder / "000.png").read_bytes()[:40])
     with pytest.raises(InputError, match="001.png cannot be read"):
         load_views(folder)
@@ -384,6 +388,85 @@ def test_two_views_of_one_name_are_refused(folder):
     images, _ = load_images(folder)
     with pytest.raises(InputError, match="two views are called 'a'; give each a name of its own"):
         Views(images, orbit(2, [0.0], 3.0, 40.0, (8, 6)), ("a", "a"))
+
+
+def a_set(folder, count=9, size=(33, 21), seed=5):
+    """Files of random RGBA pictures, and what they hold."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, (count, *size[::-1], 4), np.uint8)
+    for k, image in enumerate(pixels):
+        Image.fromarray(image).save(folder / f"{k}.png")
+    return [folder / f"{k}.png" for k in range(count)], pixels
+
+
+def test_pictures_in_files_are_as_good_as_an_array(tmp_path):
+    files, pixels = a_set(tmp_path)
+    seen = []
+    images, _ = load_images(files, told=lambda *x: seen.append(x))
+    floats = pixels.astype(np.float32) / np.float32(255.0)
+    assert seen == [(k, 9) for k in range(1, 10)] and images.bits == 8 and images.rows(3).dtype == np.uint8
+    assert np.asarray(images).dtype == np.float32 and np.array_equal(images, floats) and np.array_equal(images[-2], floats[-2])
+    assert np.array_equal(images[1:4, ..., 3], floats[1:4, ..., 3]) and all(map(np.array_equal, images, floats)) and len(images) == 9
+    light = np.concatenate([srgb_to_linear(floats[..., :3]), floats[..., 3:]], -1)
+    assert np.array_equal(images.as_linear(), light) and np.array_equal(images, floats), "the one is not the other"
+    with pytest.raises(IndexError, match="picture 9 of 9"):
+        images[9]
+
+
+@pytest.mark.parametrize("size", [(33, 21), (11, 7), (16, 10), (1, 1), (32, 3)])
+def test_pictures_are_averaged_as_they_are_read(tmp_path, size):
+    """Against the definition: how much of each pixel lies in each of the new ones, in float64."""
+    files, pixels = a_set(tmp_path)
+    images, _ = load_images(files, size=size)
+    floats = pixels / 255.0
+    light = np.concatenate([srgb_to_linear(floats[..., :3]) * floats[..., 3:], floats[..., 3:]], -1)
+    for axis, n, m in ((1, 21, size[1]), (2, 33, size[0])):
+        low, high = np.arange(m)[:, None] * n / m, (np.arange(m)[:, None] + 1) * n / m
+        part = np.clip(np.minimum(high, np.arange(n) + 1) - np.maximum(low, np.arange(n)), 0.0, None) * m / n
+        light = np.moveaxis(np.tensordot(part, light, (1, axis)), 0, axis)
+    wanted = np.concatenate([linear_to_srgb(light[..., :3] / np.maximum(light[..., 3:], 1e-12)), light[..., 3:]], -1)
+    if size == (33, 21):
+        assert images.bits == 8 and np.array_equal(images, pixels / np.float32(255.0))
+    else:
+        assert images.bits == 32 and np.allclose(images, wanted, atol=2e-7)
+        assert np.array_equal(images[2], downsampled(np.asarray(pixels[2] / np.float32(255.0), np.float32), size)), "8 bits or float"
+
+
+def test_masks_are_known_of_files_and_of_arrays(tmp_path):
+    files, pixels = a_set(tmp_path)
+    pixels[..., 3] = 0
+    pixels[1, 3:9, 5:20, 3], pixels[2, ..., 3], pixels[3, ..., 3] = 128, 255, 127
+    for file, image in zip(files, pixels):
+        Image.fromarray(image).save(file)
+    images, names = load_images(files)
+    cams = orbit(9, [0.0], 3.0, 40.0, (33, 21))
+    masks = Views(images, cams, names).masks
+    assert masks == Views(np.asarray(images), cams, names).masks
+    assert masks[1].box == (5, 3, 20, 9) and masks[2].full and masks[2].border and masks[3].box is None and masks[0].highest == 0.0
+    assert masks[3].highest == pytest.approx(127 / 255)
+
+
+def test_a_picture_that_changes_while_it_is_used_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("dressi_edge.compiler.io.pictures.KEPT_BYTES", 3 * 33 * 21 * 4)
+    files, pixels = a_set(tmp_path)
+    images, _ = load_images(files)
+    assert np.array_equal(images, pixels / np.float32(255.0)), "those that are not kept are read again"
+    Image.fromarray(pixels[0]).save(files[7])
+    with pytest.raises(InputError, match="image .*7.png has changed since it was read; leave pictures alone while they are used"):
+        np.asarray(images)
+    files[5].unlink()
+    with pytest.raises(InputError, match=r"image file .*5.png cannot be read: No such file"):
+        images[5]
+
+
+def test_the_first_of_several_broken_pictures_is_named(tmp_path):
+    files, _ = a_set(tmp_path)
+    for k in (4, 6):
+        files[k].write_bytes(files[k].read_bytes()[:120])
+    before = Image.MAX_IMAGE_PIXELS
+    with pytest.raises(InputError, match="4.png cannot be read"):
+        load_images(files)
+    assert Image.MAX_IMAGE_PIXELS == before != None  # noqa: E711  (both)
 
 
 def test_downsampling_keeps_light_coverage_and_geometry():

@@ -48,7 +48,7 @@ COMMANDS = """
     AllocateCommandBuffers FreeCommandBuffers BeginCommandBuffer EndCommandBuffer ResetCommandBuffer
     CmdBindPipeline CmdBindDescriptorSets CmdBindVertexBuffers CmdBindIndexBuffer CmdSetViewport CmdSetScissor
     CmdPushConstants CmdBeginRenderPass CmdNextSubpass CmdEndRenderPass CmdExecuteCommands
-    CmdDraw CmdDrawIndexed CmdDrawIndirect CmdDispatch
+    CmdDraw CmdDrawIndexed CmdDrawIndirect CmdDispatch CmdDispatchIndirect
     CmdPipelineBarrier CmdCopyBuffer CmdCopyImage CmdCopyBufferToImage CmdCopyImageToBuffer CmdBlitImage
     CmdClearColorImage CmdClearDepthStencilImage CmdClearAttachments CmdFillBuffer CmdUpdateBuffer
     CmdResetQueryPool CmdWriteTimestamp CmdBeginQuery CmdEndQuery

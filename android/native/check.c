@@ -72,7 +72,7 @@ static void check_needs(Reader *r, const Node *root) {
     if (limits->kind != MAP || formats->kind != MAP) refuse(r, " is %s; maps are needed", show(needs, shown));
     for (uint32_t k = 0; k < limits->count; k++) {
         int limit = place_among(LIMIT_NAMES, LIMIT_COUNT, limits->is.items + 2 * k);
-        if (limit < 0) refuse(r, ".limits names %s, which this reader does not know", show(limits->is.items + 2 * k, shown));
+        if (limit < 0 || (of_compute(limit) && !r->v->has_computes)) refuse(r, ".limits names %s, which this reader does not know", show(limits->is.items + 2 * k, shown));
         push(r, "limits", -1), push(r, LIMIT_NAMES[limit], -1);
         r->v->needs_limits[limit] = integer(r, limits->is.items + 2 * k + 1, 0, INT64_C(1) << 40);
         pop(r), pop(r);
@@ -84,8 +84,9 @@ static void check_needs(Reader *r, const Node *root) {
         const Node *features = list(r, formats->is.items + 2 * k + 1, -1, MAX_ITEMS);
         push(r, NULL, 0);
         for EACH(r, j, features->count) {
-            int feature = place_among(FEATURES, 3, features->is.items + j);
-            if (feature < 0) refuse(r, " is %s; allowed: sampled color filter", show(features->is.items + j, shown));
+            int feature = place_among(FEATURES, r->v->has_computes ? FEATURE_COUNT : FEATURE_COUNT - 1, features->is.items + j);
+            if (feature < 0)
+                refuse(r, " is %s; allowed: sampled color filter%s", show(features->is.items + j, shown), r->v->has_computes ? " storage" : "");
             r->v->needs_formats[format] |= 1 << feature;
         }
         pop(r), pop(r), pop(r);
@@ -117,7 +118,7 @@ static void check_image(Reader *r, const Node *node, Image *image) {
     image->height = number(r, node, "height", 1, MAX_SIDE);
     image->slots = number(r, node, "slots", 1, 2);
     image->usage = number(r, node, "usage", 1, 255);
-    uint32_t allowed = image->format ? 151 : 32;
+    uint32_t allowed = !image->format ? 32 : r->v->has_computes ? 159 : 151;
     if (image->usage & ~allowed) refuse(r, ".usage is %s; bits of %u are allowed", show(find(node, "usage"), shown), allowed);
     image->value = image->data = -1;
     if (find(node, "data")->kind == NIL) return;
@@ -214,6 +215,42 @@ static void check_pipeline(Reader *r, const Node *node, Pipeline *p) {
     pop(r);
 }
 
+static void check_compute(Reader *r, const Node *node, Compute *c) {
+    const Variant *v = r->v;
+    char shown[SHOWN];
+    keys(r, node, "shader bindings outputs", NULL);
+    c->shader = number(r, node, "shader", 0, (int64_t)v->shaders.count - 1);
+    const Node *bindings = open_list(r, node, "bindings", -1, MAX_PARTS);
+    c->binding_count = bindings->count;
+    c->bindings = make(r, bindings->count, sizeof(Binding));
+    for EACH(r, k, bindings->count) {
+        const Node *row = list(r, bindings->is.items + k, 2, MAX_ITEMS)->is.items;
+        Binding *b = c->bindings + k;
+        push(r, NULL, 0);
+        b->kind = number_of(r, row, "1 2");
+        b->stages = 32;
+        r->path[r->depth - 1].index = 1;
+        b->sampler = integer(r, row + 1, b->kind == 1 ? 0 : -1, b->kind == 1 ? (int64_t)v->samplers.count - 1 : -1);
+        pop(r);
+    }
+    pop(r);
+    const Node *outputs = open_list(r, node, "outputs", -1, MAX_COLORS);
+    if (!outputs->count) refuse(r, " is %s; at least one is needed", show(outputs, shown));
+    c->output_count = outputs->count;
+    c->outputs = make(r, outputs->count, sizeof(Attachment));
+    for EACH(r, k, outputs->count) {
+        const Node *item = outputs->is.items + k;
+        Attachment *a = c->outputs + k;
+        keys(r, item, "format load clear", NULL);
+        push(r, "format", -1);
+        a->format = number_of(r, find(item, "format"), "97 99 100 108 109");
+        pop(r);
+        a->load = number(r, item, "load", 0, 2);
+        a->clear = number(r, item, "clear", is_integer(a->format) ? -1 : 0, is_integer(a->format));
+    }
+    pop(r);
+}
+
 /* ---- Values ---- */
 
 void table_size(uint64_t count, uint64_t *width, uint64_t *height) {
@@ -283,12 +320,13 @@ static void check_values(Reader *r, const Node *root) {
     pop(r);
 }
 
-static const char VARIANT_KEYS[] = "meta profile needs depth_formats images samplers shaders passes pipelines values plans";
+static const char VARIANT_KEYS[] = "meta profile needs depth_formats images samplers shaders passes pipelines";
 
 void check_description(Reader *r, const Node *root) {
     Variant *v = r->v;
-    char names[sizeof VARIANT_KEYS + 8];
-    snprintf(names, sizeof names, "%s%s", VARIANT_KEYS, root == r->top ? " blobs" : "");
+    char names[sizeof VARIANT_KEYS + 32];
+    v->has_computes = find(root, "computes") != NULL;
+    snprintf(names, sizeof names, "%s%s values plans%s", VARIANT_KEYS, v->has_computes ? " computes" : "", root == r->top ? " blobs" : "");
     r->depth = 0;
     v->root = root;
     keys(r, root, names, "description");
@@ -319,6 +357,12 @@ void check_description(Reader *r, const Node *root) {
     v->pipelines = make(r, v->pipeline_count = pipelines->count, sizeof(Pipeline));
     for EACH(r, k, pipelines->count) check_pipeline(r, pipelines->is.items + k, v->pipelines + k);
     pop(r);
+    if (v->has_computes) {
+        const Node *computes = open_list(r, root, "computes", -1, MAX_OBJECTS);
+        v->computes = make(r, v->compute_count = computes->count, sizeof(Compute));
+        for EACH(r, k, computes->count) check_compute(r, computes->is.items + k, v->computes + k);
+        pop(r);
+    }
     check_values(r, root);
     check_plans(r);
 }

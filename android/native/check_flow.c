@@ -15,7 +15,7 @@ typedef struct Flow {
 
 /* What a stage samples and does not attach, sorted. */
 static Indices samples_of(Reader *r, const Stage *stage, Flow *f, const uint32_t *attached, uint32_t mark) {
-    uint32_t count = 0, found = 0, subpasses = r->v->passes[stage->pass].subpass_count;
+    uint32_t count = 0, found = 0, subpasses = stage->subpass_count;
     for (uint32_t s = 0; s < subpasses; s++)
         for (uint32_t d = 0; d < stage->subpasses[s].count; d++) count += stage->subpasses[s].draws[d].images.count + 1;
     uint32_t *at = make_scratch(r, count, sizeof *at), *spare = make_scratch(r, count, sizeof *spare);
@@ -66,19 +66,19 @@ static void check_samples(Reader *r, uint32_t k, Indices sampled, Flow *f, const
 static void check_stage_flow(Reader *r, uint32_t k, const Stage *stage, Flow *f, Marks *reads, uint32_t *attached, uint32_t *waited) {
     const Variant *v = r->v;
     bool first = !*waited, hazard = first, leave = v->plans[k].purpose == LEAVE;
+    const char *key = stage->compute < 0 ? "attachments" : "outputs";
     uint32_t now = ++f->now;
     for (uint32_t n = 0; n < stage->attachments.count; n++) {
         uint32_t ref = stage->attachments.at[n];
         bool own = f->owned[ref] == k + 1;
         if ((f->given[ref] && !own) || (v->images[ref / 2].value >= 0 && !own))
-            refuse(r, ".attachments[%u]: image %u is not for this plan to write", n, ref / 2);
-        if (leave && own && v->passes[stage->pass].attachments[n].load)
-            refuse(r, ".attachments[%u]: what comes after an enter loads the states that it updates", n);
+            refuse(r, ".%s[%u]: image %u is not for this plan to write", key, n, ref / 2);
+        if (leave && own && load_of(v, stage, n)) refuse(r, ".%s[%u]: what comes after an enter loads the states that it updates", key, n);
         attached[ref] = now;
         hazard |= f->wrote[ref] >= *waited || f->read[ref] >= *waited;
     }
     int64_t outside = -1;
-    for (uint32_t s = 0; s < v->passes[stage->pass].subpass_count; s++)
+    for (uint32_t s = 0; s < stage->subpass_count; s++)
         for (uint32_t d = 0; d < stage->subpasses[s].count; d++) {
             int64_t ref = stage->subpasses[s].draws[d].count;
             if (ref >= 0 && f->given[ref] && (outside < 0 || ref < outside)) outside = ref;

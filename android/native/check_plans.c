@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-enum { MAX_PLANS = 4096, MAX_NEEDS = 16, MAX_PARTS = 1024 };
+enum { MAX_PLANS = 4096, MAX_NEEDS = 16, MAX_PARTS = 1024, MAX_GROUPS = INT32_MAX };
 
 static const char *const ROLES[] = {"input", "state", "output", "copy"};
 
@@ -44,6 +44,18 @@ static void check_cells(Reader *r, const Node *node, const Stage *stage, Draw *d
     pop(r);
 }
 
+/* An image that says how much of a draw or dispatch there is to do: whether there is one. */
+static bool check_count(Reader *r, const Node *node, const Marks *written, Draw *draw) {
+    int64_t ref;
+    push(r, "count", -1);
+    const Image *image = ref_image(r, find(node, "count"), &ref, -1);
+    draw->count = ref;
+    if (image && (image->format != 99 || !(image->usage & 1))) refuse(r, ": image %lld is not R32_SINT with usage 1", (long long)ref / 2);
+    if (image && written->of_ref[ref] == written->now_ref) refuse(r, ": image %lld is written by the same stage", (long long)ref / 2);
+    pop(r);
+    return image != NULL;
+}
+
 static void check_draw(Reader *r, const Node *node, const Stage *stage, uint32_t subpass, const Marks *attached, Draw *draw) {
     const Variant *v = r->v;
     char shown[SHOWN];
@@ -65,13 +77,8 @@ static void check_draw(Reader *r, const Node *node, const Stage *stage, uint32_t
     pop(r);
     draw->vertices = number(r, node, "vertices", 1, INT32_MAX);
     check_cells(r, node, stage, draw);
-    push(r, "count", -1);
-    const Image *image = ref_image(r, find(node, "count"), &ref, -1);
-    draw->count = ref;
-    if (image && (image->format != 99 || !(image->usage & 1))) refuse(r, ": image %lld is not R32_SINT with usage 1", (long long)ref / 2);
-    if (image && attached->of_ref[ref] == attached->now_ref) refuse(r, ": image %lld is written by the same stage", (long long)ref / 2);
-    if (image && draw->cell_count != 1) refuse(r, " is %lld; -1, or a draw of one cell", (long long)ref);
-    pop(r);
+    if (check_count(r, node, attached, draw) && draw->cell_count != 1)
+        refuse(r, ".count is %lld; -1, or a draw of one cell", (long long)draw->count);
     const Node *range = open_list(r, node, "depth_range", 2, MAX_ITEMS);
     for (int k = 0; k < 2; k++) {
         const Node *x = range->is.items + k;
@@ -82,9 +89,65 @@ static void check_draw(Reader *r, const Node *node, const Stage *stage, uint32_t
     draw->near = (float)range->is.items[0].is.real, draw->far = (float)range->is.items[1].is.real;
 }
 
+/* The refs of what a stage writes fit what writes them, each once; they are marked. */
+static void check_written(Reader *r, const Node *refs, const Attachment *wanted, const char *what, uint32_t usage, Stage *stage, Marks *marks) {
+    stage->attachments = indices(r, refs);
+    marks->now_ref++;
+    bool twice = false;
+    for EACH(r, k, refs->count) {
+        int64_t ref;
+        const Image *image = ref_image(r, refs->is.items + k, &ref, 0);
+        if (image->format != wanted[k].format || !(image->usage & (image->format ? usage : 32)))
+            refuse(r, ": image %lld of format %u and usage %u does not fit the %s", (long long)ref / 2, image->format, image->usage, what);
+        if (stage->compute < 0 && (image->width != stage->width || image->height != stage->height))
+            refuse(r, ": image %lld is %u x %u, the stage is %u x %u", (long long)ref / 2, image->width, image->height, stage->width,
+                stage->height);
+        twice |= marks->of_ref[ref] == marks->now_ref;
+        marks->of_ref[ref] = marks->now_ref;
+        stage->attachments.at[k] = (uint32_t)ref;
+    }
+    if (twice) r->path[r->depth - 1].index = -1, refuse(r, " names something twice");
+}
+
+static void check_dispatch(Reader *r, const Node *node, Stage *stage, Marks *marks) {
+    const Variant *v = r->v;
+    char shown[SHOWN];
+    keys(r, node, "compute groups images outputs count wait", NULL);
+    stage->compute = number(r, node, "compute", 0, (int64_t)v->compute_count - 1);
+    const Compute *compute = v->computes + stage->compute;
+    const Node *groups = open_list(r, node, "groups", 3, MAX_ITEMS);
+    for EACH(r, k, 3) stage->groups[k] = (uint32_t)integer(r, groups->is.items + k, 1, MAX_GROUPS);
+    pop(r);
+    const Node *wait = find(node, "wait");
+    if (wait->kind != BOOLEAN) refuse(r, ".wait is %s; a boolean is needed", show(wait, shown));
+    stage->wait = wait->is.integer;
+    check_written(r, open_list(r, node, "outputs", compute->output_count, MAX_ITEMS), compute->outputs, "compute pipeline", 8, stage, marks);
+    pop(r);
+    const Node *images = open_list(r, node, "images", compute->binding_count, MAX_ITEMS);
+    Draw *draw = make(r, 1, sizeof *draw);
+    draw->images = indices(r, images);
+    for EACH(r, k, images->count) {
+        int64_t ref;
+        const Image *image = ref_image(r, images->is.items + k, &ref, 0);
+        if (!(image->usage & 4)) refuse(r, ": image %lld lacks usage 4", (long long)ref / 2);
+        if (marks->of_ref[ref] == marks->now_ref) refuse(r, ": image %lld is written by the same stage", (long long)ref / 2);
+        draw->images.at[k] = (uint32_t)ref;
+    }
+    pop(r);
+    check_count(r, node, marks, draw);
+    stage->subpass_count = 1;
+    stage->subpasses = make(r, 1, sizeof(Draws));
+    *stage->subpasses = (Draws){1, draw};
+}
+
 static void check_stage(Reader *r, const Node *node, Stage *stage, Marks *marks) {
     const Variant *v = r->v;
     char shown[SHOWN];
+    if (v->has_computes && node->kind == MAP && find(node, "compute")) {
+        check_dispatch(r, node, stage, marks);
+        return;
+    }
+    stage->compute = -1;
     keys(r, node, "pass width height attachments wait subpasses", NULL);
     stage->pass = number(r, node, "pass", 0, (int64_t)v->pass_count - 1);
     const Pass *pass = v->passes + stage->pass;
@@ -93,26 +156,10 @@ static void check_stage(Reader *r, const Node *node, Stage *stage, Marks *marks)
     const Node *wait = find(node, "wait");
     if (wait->kind != BOOLEAN) refuse(r, ".wait is %s; a boolean is needed", show(wait, shown));
     stage->wait = wait->is.integer;
-    const Node *attachments = open_list(r, node, "attachments", pass->attachment_count, MAX_ITEMS);
-    stage->attachments = indices(r, attachments);
-    marks->now_ref++;
-    bool twice = false;
-    for EACH(r, k, attachments->count) {
-        int64_t ref;
-        const Image *image = ref_image(r, attachments->is.items + k, &ref, 0);
-        uint32_t format = pass->attachments[k].format;
-        if (image->format != format || !(image->usage & (format ? 16 : 32)))
-            refuse(r, ": image %lld of format %u and usage %u does not fit the pass", (long long)ref / 2, image->format, image->usage);
-        if (image->width != stage->width || image->height != stage->height)
-            refuse(r, ": image %lld is %u x %u, the stage is %u x %u", (long long)ref / 2, image->width, image->height, stage->width,
-                stage->height);
-        twice |= marks->of_ref[ref] == marks->now_ref;
-        marks->of_ref[ref] = marks->now_ref;
-        stage->attachments.at[k] = (uint32_t)ref;
-    }
+    check_written(r, open_list(r, node, "attachments", pass->attachment_count, MAX_ITEMS), pass->attachments, "pass", 16, stage, marks);
     pop(r);
-    if (twice) refuse(r, ".attachments names something twice");
     const Node *subpasses = open_list(r, node, "subpasses", pass->subpass_count, MAX_ITEMS);
+    stage->subpass_count = subpasses->count;
     stage->subpasses = make(r, subpasses->count, sizeof(Draws));
     for EACH(r, k, subpasses->count) {
         const Node *draws = list(r, subpasses->is.items + k, -1, MAX_ITEMS);

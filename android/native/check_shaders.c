@@ -4,10 +4,10 @@
 
 #include <stdio.h>
 
-static const char *stage_name(uint32_t stage) { return stage == 1 ? "vertex" : "fragment"; }
+static const char *stage_name(uint32_t stage) { return stage == 1 ? "vertex" : stage == 16 ? "fragment" : "compute"; }
 
 static const char *kind_name(uint32_t kind) {
-    return kind == 1 ? "combined image sampler" : kind == 2 ? "sampled image" : "input attachment";
+    return kind == 1 ? "combined image sampler" : kind == 2 ? "sampled image" : kind == 3 ? "storage image" : "input attachment";
 }
 
 static const char *words(Location x, char buffer[24]) {
@@ -78,6 +78,40 @@ static Reads check_pipeline(Reader *r, const Pipeline *p) {
     return reads;
 }
 
+static Reads check_compute(Reader *r, const Compute *c) {
+    const Interface *shader = r->v->interfaces[c->shader];
+    Reads reads = {make_scratch(r, c->binding_count, 1), NULL, NULL};
+    bool *stored = make_scratch(r, c->output_count, 1);
+    if (shader->stage != 32) refuse(r, ".shader: shader %u is for the %s stage", c->shader, stage_name(shader->stage));
+    for (uint32_t k = 0; k < c->binding_count; k++) reads.is_integer[k] = UNUSED;
+    for (uint32_t k = 0; k < shader->used_count; k++) {
+        const Used *used = shader->used + k;
+        uint32_t n = used->number, all = c->binding_count + c->output_count;
+        if (n >= all) refuse(r, ".shader: the shader uses binding %u; the pipeline has %u", n, all);
+        uint32_t kind = n < c->binding_count ? c->bindings[n].kind : 3;
+        if (kind != used->kind) refuse(r, ": binding %u is a %s; the shader uses a %s", n, kind_name(kind), kind_name(used->kind));
+        if (kind != 3) {
+            reads.is_integer[n] = used->is_integer;
+            continue;
+        }
+        uint32_t output = n - c->binding_count;
+        if (used->index != c->outputs[output].format)
+            refuse(r, ".outputs[%u].format is %u; the shader writes format %u", output, c->outputs[output].format, used->index);
+        stored[output] = true;
+    }
+    for (uint32_t k = 0; k < c->output_count; k++)
+        if (!stored[k]) refuse(r, ".outputs[%u]: the shader has no storage image at binding %u", k, c->binding_count + k);
+    return reads;
+}
+
+/* What a draw or dispatch reads. */
+static void check_read(Reader *r, uint32_t k, uint32_t ref, uint32_t kind, int wanted) {
+    uint32_t format = r->v->images[ref / 2].format;
+    if (!format || (wanted != UNUSED && wanted != is_integer(format)))
+        refuse(r, ".images[%u]: image %u has format %u; the shader reads %s", k, ref / 2, format, wanted == 1 ? "integers" : "floats");
+    if (kind == 1 && is_integer(format)) refuse(r, ".images[%u]: image %u holds integers, which no sampler filters", k, ref / 2);
+}
+
 static void check_draw(Reader *r, const Draw *draw, const Stage *stage, const Subpass *subpass, const Reads *reads) {
     const Pipeline *p = r->v->pipelines + draw->pipeline;
     for (uint32_t k = 0; k < draw->images.count; k++) {
@@ -101,17 +135,27 @@ void check_shaders(Reader *r) {
         uint32_t blob = v->shaders.at[k];
         if (!r->parsed[blob]) r->parsed[blob] = parse_shader(r, blob_data(r->bundle, blob), r->bundle->blobs[blob].size);
         v->interfaces[k] = r->parsed[blob];
+        if (v->interfaces[k]->stage == 32 && !v->has_computes)
+            refuse(r, " is for the compute stage, of which this version of the format has none");
     }
     pop(r);
     Reads *reads = make_scratch(r, v->pipeline_count, sizeof *reads);
     push(r, "pipelines", 0);
     for EACH(r, k, v->pipeline_count) reads[k] = check_pipeline(r, v->pipelines + k);
     pop(r);
+    Reads *computed = make_scratch(r, v->compute_count, sizeof *computed);
+    push(r, "computes", 0);
+    for EACH(r, k, v->compute_count) computed[k] = check_compute(r, v->computes + k);
+    pop(r);
     push(r, "plans", 0);
     for EACH(r, k, v->plan_count) {
         push(r, "stages", 0);
         for EACH(r, s, v->plans[k].stage_count) {
             const Stage *stage = v->plans[k].stages + s;
+            const Indices *images = stage->compute < 0 ? NULL : &stage->subpasses->draws->images;
+            for (uint32_t n = 0; images && n < images->count; n++)
+                check_read(r, n, images->at[n], v->computes[stage->compute].bindings[n].kind, computed[stage->compute].is_integer[n]);
+            if (images) continue;
             const Pass *pass = v->passes + stage->pass;
             push(r, "subpasses", 0);
             for EACH(r, j, pass->subpass_count) {

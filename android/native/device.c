@@ -122,14 +122,16 @@ static void read_device(Found *f, uint32_t k) {
     VkQueueFamilyProperties families[16];
     uint32_t count = COUNT(families);
     d->physical = f->physical[k], d->number = k;
-    d->family = UINT32_MAX, d->has_driver = d->has_ids = false;
+    d->family = UINT32_MAX, d->has_driver = d->has_ids = d->has_compute = false;
     d->driver_name[0] = d->driver_info[0] = 0;
     d->vk.GetPhysicalDeviceProperties(d->physical, &d->properties);
     d->vk.GetPhysicalDeviceFeatures(d->physical, &d->features);
     d->vk.GetPhysicalDeviceMemoryProperties(d->physical, &d->memory);
     d->vk.GetPhysicalDeviceQueueFamilyProperties(d->physical, &count, families);
     for (uint32_t n = 0; n < count; n++) {
-        if (families[n].queueFlags & VK_QUEUE_GRAPHICS_BIT && d->family == UINT32_MAX) d->family = n;
+        bool compute = families[n].queueFlags & VK_QUEUE_COMPUTE_BIT;
+        if (families[n].queueFlags & VK_QUEUE_GRAPHICS_BIT && (d->family == UINT32_MAX || compute > d->has_compute))
+            d->family = n, d->has_compute = compute;
     }
     read_driver(f, d);
     const char *space = *d->driver_name && *d->driver_info ? " " : "";

@@ -18,7 +18,7 @@ typedef struct Count {
     const char *name; /* of the device */
     uint32_t lines;
     char line[SHOWN_LINES][LINE];
-    struct { uint32_t plan, stage, subpass; bool known; } *pass_at, *pipeline_at; /* where each is used first */
+    struct { uint32_t plan, stage, subpass; bool known; } *pass_at, *pipeline_at, *compute_at; /* where each is used first */
     bool *filtered;                                                               /* by image */
 } Count;
 
@@ -34,10 +34,21 @@ static void find_places(Count *c) {
     const Variant *v = c->v;
     c->pass_at = grow(c->call, c->arena, v->pass_count, sizeof *c->pass_at);
     c->pipeline_at = grow(c->call, c->arena, v->pipeline_count, sizeof *c->pipeline_at);
+    c->compute_at = grow(c->call, c->arena, v->compute_count, sizeof *c->compute_at);
     c->filtered = grow(c->call, c->arena, v->image_count, 1);
     for (uint32_t p = 0; p < v->plan_count; p++)
         for (uint32_t s = 0; s < v->plans[p].stage_count; s++) {
             const Stage *stage = v->plans[p].stages + s;
+            if (stage->compute >= 0) {
+                const Indices images = stage->subpasses->draws->images;
+                if (!c->compute_at[stage->compute].known) {
+                    c->compute_at[stage->compute].plan = p, c->compute_at[stage->compute].stage = s;
+                    c->compute_at[stage->compute].known = true;
+                }
+                for (uint32_t k = 0; k < images.count; k++)
+                    if (v->computes[stage->compute].bindings[k].kind == 1) c->filtered[images.at[k] / 2] = true;
+                continue;
+            }
             if (!c->pass_at[stage->pass].known) {
                 c->pass_at[stage->pass].plan = p, c->pass_at[stage->pass].stage = s;
                 c->pass_at[stage->pass].known = true;
@@ -109,6 +120,7 @@ static void count_images(Count *c) {
         LIMIT(c, where, image->width > image->height ? image->width : image->height, "texels a side", maxImageDimension2D);
         if (image->format && image->usage & 4) count_feature(c, k, VK_FORMAT_FEATURE_SAMPLED_IMAGE_BIT, "sampled");
         if (image->format && image->usage & (16 | 128)) count_feature(c, k, VK_FORMAT_FEATURE_COLOR_ATTACHMENT_BIT, "color");
+        if (image->format && image->usage & 8) count_feature(c, k, VK_FORMAT_FEATURE_STORAGE_IMAGE_BIT, "storage");
         if (image->format && c->filtered[k]) count_feature(c, k, VK_FORMAT_FEATURE_SAMPLED_IMAGE_FILTER_LINEAR_BIT, "filter");
         depth |= !image->format;
         kind_count += !kinds[image->format][image->usage];
@@ -171,6 +183,38 @@ static void count_pipeline(Count *c, uint32_t k) {
     LIMIT(c, where, v->interfaces[p->fragment]->input_components, "fragment input components", maxFragmentInputComponents);
 }
 
+/* A line if there is more along an axis than the limit allows. */
+static void sizes(Count *c, const char *where, const uint32_t found[3], const char *what, const uint32_t allowed[3], const char *name) {
+    if (found[0] > allowed[0] || found[1] > allowed[1] || found[2] > allowed[2])
+        LINE_OF(c, "%s needs %u x %u x %u %s; profile %s allows %u x %u x %u (%s)", where, found[0], found[1], found[2], what, c->name,
+                allowed[0], allowed[1], allowed[2], name);
+}
+#define SIZES(c, where, found, what, name) sizes(c, where, found, what, (c)->device->properties.limits.name, #name)
+
+static void count_compute(Count *c, uint32_t k) {
+    const Variant *v = c->v;
+    const Compute *compute = v->computes + k;
+    const Interface *shader = v->interfaces[compute->shader];
+    char at[LINE] = "unused", where[LINE];
+    if (c->compute_at[k].known)
+        snprintf(at, sizeof at, "%.200s.stages[%u]", v->plans[c->compute_at[k].plan].name, c->compute_at[k].stage);
+    snprintf(where, sizeof where, "%.260s (compute %u)", at, k);
+    uint32_t samplers = 0, images = compute->binding_count, stored = compute->output_count;
+    const uint32_t *n = shader->local_size;
+    for (uint32_t b = 0; b < images; b++) samplers += compute->bindings[b].kind == 1;
+    LIMIT(c, where, 1, "descriptor sets", maxBoundDescriptorSets);
+    LIMIT(c, where, samplers, "samplers in its set", maxDescriptorSetSamplers);
+    LIMIT(c, where, samplers, "samplers in its shader", maxPerStageDescriptorSamplers);
+    LIMIT(c, where, images, "sampled images in its set", maxDescriptorSetSampledImages);
+    LIMIT(c, where, images, "sampled images in its shader", maxPerStageDescriptorSampledImages);
+    LIMIT(c, where, stored, "storage images in its set", maxDescriptorSetStorageImages);
+    LIMIT(c, where, stored, "storage images in its shader", maxPerStageDescriptorStorageImages);
+    LIMIT(c, where, images + stored, "resources in its shader", maxPerStageResources);
+    SIZES(c, where, n, "invocations in a workgroup", maxComputeWorkGroupSize);
+    LIMIT(c, where, (uint64_t)n[0] * n[1] * n[2], "invocations in a workgroup", maxComputeWorkGroupInvocations);
+    LIMIT(c, where, shader->shared_bytes, "bytes of memory that a workgroup shares", maxComputeSharedMemorySize);
+}
+
 static void count_draw(Count *c, const char *where, const Draw *draw) {
     const VkPhysicalDeviceLimits *l = &c->device->properties.limits;
     for (uint32_t k = 0; k < draw->cell_count; k++) {
@@ -192,6 +236,10 @@ static void count_draw(Count *c, const char *where, const Draw *draw) {
 }
 
 static void count_stage(Count *c, const char *where, const Stage *stage) {
+    if (stage->compute >= 0) {
+        SIZES(c, where, stage->groups, "workgroups", maxComputeWorkGroupCount);
+        return;
+    }
     LIMIT(c, where, stage->width, "pixels of framebuffer width", maxFramebufferWidth);
     LIMIT(c, where, stage->height, "pixels of framebuffer height", maxFramebufferHeight);
     for (uint32_t j = 0; j < c->v->passes[stage->pass].subpass_count; j++)
@@ -207,22 +255,23 @@ static void count_stage(Count *c, const char *where, const Stage *stage) {
 static uint32_t limit_of(const dressi_device *device, int k) {
     const VkPhysicalDeviceLimits *l = &device->properties.limits;
     const uint32_t found[LIMIT_COUNT] = { /* as LIMIT_NAMES */
-        l->maxColorAttachments, l->maxDescriptorSetInputAttachments, l->maxDescriptorSetSampledImages, l->maxDescriptorSetSamplers,
+        l->maxColorAttachments, l->maxComputeSharedMemorySize, l->maxComputeWorkGroupInvocations, l->maxDescriptorSetInputAttachments,
+        l->maxDescriptorSetSampledImages, l->maxDescriptorSetSamplers, l->maxDescriptorSetStorageImages,
         l->maxFragmentCombinedOutputResources, l->maxFragmentInputComponents, l->maxFragmentOutputAttachments, l->maxFramebufferHeight,
         l->maxFramebufferWidth, l->maxImageDimension2D, l->maxPerStageDescriptorInputAttachments, l->maxPerStageDescriptorSampledImages,
-        l->maxPerStageDescriptorSamplers, l->maxPerStageResources, l->maxVertexOutputComponents, l->subPixelPrecisionBits,
-        l->subTexelPrecisionBits};
+        l->maxPerStageDescriptorSamplers, l->maxPerStageDescriptorStorageImages, l->maxPerStageResources, l->maxVertexOutputComponents,
+        l->subPixelPrecisionBits, l->subTexelPrecisionBits};
     return found[k];
 }
 
 static void compare_needs(Count *c) {
     static const VkFormatFeatureFlags bits[] = {VK_FORMAT_FEATURE_SAMPLED_IMAGE_BIT, VK_FORMAT_FEATURE_COLOR_ATTACHMENT_BIT,
-                                                VK_FORMAT_FEATURE_SAMPLED_IMAGE_FILTER_LINEAR_BIT};
-    static const int sorted[] = {1, 2, 0}; /* color filter sampled */
+                                                VK_FORMAT_FEATURE_SAMPLED_IMAGE_FILTER_LINEAR_BIT, VK_FORMAT_FEATURE_STORAGE_IMAGE_BIT};
+    static const int sorted[] = {1, 2, 0, 3}; /* color filter sampled storage */
     for (int k = 0; k < FORMAT_COUNT; k++) {
         char wanted[64] = "", words[64];
         bool lacks = false;
-        for (int j = 0; j < 3; j++) {
+        for (int j = 0; j < FEATURE_COUNT; j++) {
             if (!(c->v->needs_formats[k] >> sorted[j] & 1)) continue;
             lacks |= !(features_of(c->device, (VkFormat)FORMATS[k]) & bits[sorted[j]]);
             snprintf(wanted + strlen(wanted), sizeof wanted - strlen(wanted), "%s%s", *wanted ? " " : "", FEATURES[sorted[j]]);
@@ -267,6 +316,7 @@ static VkFormat misfits(Count *c) {
     count_images(c);
     for (uint32_t k = 0; k < v->pass_count; k++) count_pass(c, k);
     for (uint32_t k = 0; k < v->pipeline_count; k++) count_pipeline(c, k);
+    for (uint32_t k = 0; k < v->compute_count; k++) count_compute(c, k);
     for (uint32_t p = 0; p < v->plan_count; p++)
         for (uint32_t s = 0; s < v->plans[p].stage_count; s++) {
             char where[LINE];
@@ -277,6 +327,7 @@ static VkFormat misfits(Count *c) {
           subPixelPrecisionBits);
     LIMIT(c, "what its shaders do", (uint64_t)v->needs_limits[LIMIT_COUNT - 1], "bits of the weights of a filter", subTexelPrecisionBits);
     if (!c->lines) compare_needs(c);
+    if (!c->lines && v->compute_count && !c->device->has_compute) LINE_OF(c, "%s has no queue that both draws and computes", c->name);
     if (!c->lines) compare_memory(c);
     return c->lines ? VK_FORMAT_UNDEFINED : choose_depth(c);
 }

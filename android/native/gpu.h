@@ -24,7 +24,7 @@
     X(BeginCommandBuffer) X(EndCommandBuffer) X(ResetCommandBuffer) X(CreateFence) X(DestroyFence) X(ResetFences) X(WaitForFences) \
     X(CmdPipelineBarrier) X(CmdClearColorImage) X(CmdCopyBufferToImage) X(CmdCopyImageToBuffer) X(CmdBeginRenderPass) \
     X(CmdNextSubpass) X(CmdEndRenderPass) X(CmdBindPipeline) X(CmdBindDescriptorSets) X(CmdSetViewport) X(CmdSetScissor) X(CmdDraw) \
-    X(CmdDrawIndirect)
+    X(CmdDrawIndirect) X(CreateComputePipelines) X(CmdDispatch) X(CmdDispatchIndirect)
 
 typedef struct Vulkan {
 #define X(name) PFN_vk##name name;
@@ -41,7 +41,7 @@ struct dressi_device {
     VkDevice device;
     VkQueue queue;
     uint32_t family, number, instance_version;
-    bool has_driver, has_ids;
+    bool has_driver, has_ids, has_compute; /* has_compute: the queue takes dispatches, too */
     int process;          /* that opened it */
     pthread_mutex_t lock; /* around every use of the queue, which sessions share */
     VkPhysicalDeviceProperties properties;

@@ -97,7 +97,7 @@ void pack_text(Packed *packed, const char *text);
 
 /* ---- A bundle ---- */
 
-enum { MAX_VARIANTS = 16, MAX_SIDE = 1 << 16, MAX_ITEMS = 1 << 20, MAX_OBJECTS = 1 << 16, MAX_LOCATIONS = 64, LIMIT_COUNT = 17, FORMAT_COUNT = 9 };
+enum { MAX_VARIANTS = 16, MAX_SIDE = 1 << 16, MAX_ITEMS = 1 << 20, MAX_OBJECTS = 1 << 16, MAX_LOCATIONS = 64, LIMIT_COUNT = 21, FORMAT_COUNT = 9, FEATURE_COUNT = 4 };
 
 typedef struct Indices { uint32_t count, *at; } Indices;
 typedef struct Blob { uint64_t offset, size; const uint8_t *digest; } Blob;
@@ -111,6 +111,7 @@ typedef struct Pipeline {
     bool depth;
     Binding *bindings;
 } Pipeline;
+typedef struct Compute { uint32_t shader, binding_count, output_count; Binding *bindings; Attachment *outputs; } Compute;
 typedef enum Role { INPUT, STATE, OUTPUT, COPY } Role;
 typedef enum Layout { UNIT, TABLE, IMAGE, ATLAS } Layout;
 typedef struct Value {
@@ -129,7 +130,13 @@ typedef struct Draw {
     float near, far;
 } Draw;
 typedef struct Draws { uint32_t count; Draw *draws; } Draws;
-typedef struct Stage { uint32_t pass, width, height; Indices attachments; bool wait; Draws *subpasses; } Stage;
+typedef struct Stage {
+    int64_t compute; /* index, or -1: it draws */
+    uint32_t pass, width, height, subpass_count, groups[3];
+    Indices attachments; /* of compute: the images that it writes */
+    bool wait;
+    Draws *subpasses; /* of compute: one, of one draw that has its images and count */
+} Stage;
 typedef enum Purpose { GIVES, PHASE, ENTER, LEAVE } Purpose;
 typedef struct Plan {
     const char *name;
@@ -142,15 +149,17 @@ typedef struct Plan {
 
 /* What a shader binds, takes and gives. Scalars of a location: 0 none, 1 float, 2 int, 3 uint. */
 typedef struct Location { uint8_t scalar, components; } Location;
-typedef struct Used { uint32_t number, kind, index; bool is_integer; } Used; /* index of an input attachment, else 0 */
+typedef struct Used { uint32_t number, kind, index; bool is_integer; } Used; /* index of an input attachment, format of a storage image */
 typedef struct Interface {
-    uint32_t stage; /* 1 vertex, 16 fragment */
+    uint32_t stage; /* 1 vertex, 16 fragment, 32 compute */
     uint32_t used_count, input_count, output_count;
     Used *used;
     Location inputs[MAX_LOCATIONS], outputs[MAX_LOCATIONS];
     uint8_t order[MAX_LOCATIONS]; /* of the inputs, as declared */
     uint64_t input_components, output_components;
     bool writes_size; /* of points */
+    uint32_t local_size[3]; /* invocations of a workgroup */
+    uint64_t shared_bytes;  /* of what they share, at most */
 } Interface;
 
 typedef struct Variant {
@@ -159,10 +168,12 @@ typedef struct Variant {
     int64_t needs_limits[LIMIT_COUNT];
     uint8_t needs_formats[FORMAT_COUNT]; /* bits of FEATURES */
     Indices depth_formats, samplers, shaders;
-    uint32_t image_count, pass_count, pipeline_count, value_count, plan_count;
+    uint32_t image_count, pass_count, pipeline_count, compute_count, value_count, plan_count;
+    bool has_computes; /* the key */
     Image *images;
     Pass *passes;
     Pipeline *pipelines;
+    Compute *computes;
     Value *values;
     Plan *plans;
     const Interface **interfaces; /* one a shader */
@@ -241,7 +252,10 @@ const Interface *parse_shader(Reader *r, const uint8_t *data, uint64_t size);
 extern const char *const LIMIT_NAMES[LIMIT_COUNT];   /* sorted */
 extern const char *const FORMAT_NAMES[FORMAT_COUNT]; /* sorted, without VK_FORMAT_ */
 extern const uint32_t FORMATS[FORMAT_COUNT];
-extern const char *const FEATURES[3]; /* sampled color filter, bit k each */
+extern const char *const FEATURES[FEATURE_COUNT]; /* sampled color filter storage, bit k each; the last of compute alone */
+bool of_compute(int limit); /* one that only a description with computes may name */
+bool can_store(uint32_t format); /* a shader may write it without a feature */
+uint32_t load_of(const Variant *v, const Stage *stage, uint32_t k); /* of what it writes */
 
 const char *format_name(uint32_t format); /* "depth" for 0 */
 bool is_half(uint32_t format);

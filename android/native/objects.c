@@ -200,6 +200,24 @@ static void create_pipeline(Session *s, Call *call, uint32_t k) {
     MUST(call, &s->device->vk, CreateGraphicsPipelines, s->device->device, s->cache.handle, 1, &info, NULL, s->pipelines + k);
 }
 
+static void create_compute(Session *s, Call *call, uint32_t k) {
+    const Vulkan *vk = &s->device->vk;
+    const Compute *c = s->v->computes + k;
+    uint32_t n = c->binding_count + c->output_count;
+    VkDescriptorSetLayoutBinding *bindings = spare(s, call, n, sizeof *bindings);
+    for (uint32_t b = 0; b < n; b++)
+        bindings[b] = (VkDescriptorSetLayoutBinding){b, b < c->binding_count ? (VkDescriptorType)c->bindings[b].kind :
+            VK_DESCRIPTOR_TYPE_STORAGE_IMAGE, 1, VK_SHADER_STAGE_COMPUTE_BIT, NULL};
+    VkDescriptorSetLayoutCreateInfo set = {TYPE(DESCRIPTOR_SET_LAYOUT_CREATE_INFO), .bindingCount = n, .pBindings = bindings};
+    MUST(call, vk, CreateDescriptorSetLayout, s->device->device, &set, NULL, s->compute_sets + k);
+    VkPipelineLayoutCreateInfo layout = {TYPE(PIPELINE_LAYOUT_CREATE_INFO), .setLayoutCount = 1, .pSetLayouts = s->compute_sets + k};
+    MUST(call, vk, CreatePipelineLayout, s->device->device, &layout, NULL, s->compute_layouts + k);
+    VkComputePipelineCreateInfo info = {TYPE(COMPUTE_PIPELINE_CREATE_INFO), .layout = s->compute_layouts[k], .basePipelineIndex = -1,
+        .stage = {TYPE(PIPELINE_SHADER_STAGE_CREATE_INFO), .pName = "main", .stage = VK_SHADER_STAGE_COMPUTE_BIT,
+                  .module = s->modules[c->shader]}};
+    MUST(call, vk, CreateComputePipelines, s->device->device, s->cache.handle, 1, &info, NULL, s->computes + k);
+}
+
 void create_pipelines(Session *s, Call *call) {
     const Vulkan *vk = &s->device->vk;
     const Variant *v = s->v;
@@ -211,6 +229,9 @@ void create_pipelines(Session *s, Call *call) {
     s->layouts = grow(call, arena, v->pipeline_count, sizeof *s->layouts);
     s->shared = grow(call, arena, v->pipeline_count, sizeof *s->shared);
     s->pipelines = grow(call, arena, v->pipeline_count, sizeof *s->pipelines);
+    s->compute_sets = grow(call, arena, v->compute_count, sizeof *s->compute_sets);
+    s->compute_layouts = grow(call, arena, v->compute_count, sizeof *s->compute_layouts);
+    s->computes = grow(call, arena, v->compute_count, sizeof *s->computes);
     for (uint32_t k = 0; k < v->shaders.count; k++) {
         const Blob *blob = s->bundle.blobs + v->shaders.at[k];
         uint32_t *code = spare(s, call, blob->size / 4, 4); /* aligned, whatever the file in memory is */
@@ -227,6 +248,7 @@ void create_pipelines(Session *s, Call *call) {
     for (uint32_t k = 0; k < v->pass_count; k++) create_pass(s, call, v->passes + k, s->passes + k);
     create_layouts(s, call);
     for (uint32_t k = 0; k < v->pipeline_count; k++) create_pipeline(s, call, k);
+    for (uint32_t k = 0; k < v->compute_count; k++) create_compute(s, call, k);
 }
 
 /* What was never made is a null handle, which Vulkan ignores; arrays that were never made are NULL. */
@@ -239,6 +261,11 @@ void destroy_objects(Session *s) {
         vk->DestroyPipeline(device, s->pipelines[k], NULL);
         vk->DestroyPipelineLayout(device, s->layouts[k], NULL);
         vk->DestroyDescriptorSetLayout(device, s->set_layouts[k], NULL);
+    }
+    for (uint32_t k = 0; s->computes && k < v->compute_count; k++) {
+        vk->DestroyPipeline(device, s->computes[k], NULL);
+        vk->DestroyPipelineLayout(device, s->compute_layouts[k], NULL);
+        vk->DestroyDescriptorSetLayout(device, s->compute_sets[k], NULL);
     }
     for (uint32_t k = 0; s->passes && k < v->pass_count; k++) vk->DestroyRenderPass(device, s->passes[k], NULL);
     for (uint32_t k = 0; s->samplers && k < v->samplers.count; k++) vk->DestroySampler(device, s->samplers[k], NULL);

@@ -23,21 +23,31 @@ static uint32_t slot_of(const Tape *t, uint32_t ref) {
 
 static VkImageView view_of(const Tape *t, uint32_t ref) { return t->s->views[ref / 2][slot_of(t, ref)]; }
 
-static VkDescriptorSet make_set(const Tape *t, const Draw *draw) {
-    Session *s = t->s;
-    const Pipeline *p = s->v->pipelines + draw->pipeline;
+static VkDescriptorSet new_set(const Tape *t, const VkDescriptorSetLayout *layout) {
     VkDescriptorSet set;
     VkDescriptorSetAllocateInfo info = {TYPE(DESCRIPTOR_SET_ALLOCATE_INFO), .descriptorPool = t->made->sets, .descriptorSetCount = 1,
-                                        .pSetLayouts = s->set_layouts + s->shared[draw->pipeline]};
-    MUST(t->call, &s->device->vk, AllocateDescriptorSets, s->device->device, &info, &set);
-    for (uint32_t b = 0; b < p->binding_count; b++) {
-        const Binding *binding = p->bindings + b;
-        VkSampler sampler = binding->kind == 1 ? s->samplers[binding->sampler] : VK_NULL_HANDLE;
-        VkDescriptorImageInfo image = {sampler, view_of(t, draw->images.at[b]), VK_IMAGE_LAYOUT_GENERAL};
-        VkWriteDescriptorSet write = {TYPE(WRITE_DESCRIPTOR_SET), .dstSet = set, .dstBinding = b, .descriptorCount = 1,
-                                      .descriptorType = (VkDescriptorType)binding->kind, .pImageInfo = &image};
-        s->device->vk.UpdateDescriptorSets(s->device->device, 1, &write, 0, NULL);
-    }
+                                        .pSetLayouts = layout};
+    MUST(t->call, &t->s->device->vk, AllocateDescriptorSets, t->s->device->device, &info, &set);
+    return set;
+}
+
+static void bind_image(const Tape *t, VkDescriptorSet set, uint32_t number, uint32_t kind, VkSampler sampler, uint32_t ref) {
+    VkDescriptorImageInfo image = {sampler, view_of(t, ref), VK_IMAGE_LAYOUT_GENERAL};
+    VkWriteDescriptorSet write = {TYPE(WRITE_DESCRIPTOR_SET), .dstSet = set, .dstBinding = number, .descriptorCount = 1,
+                                  .descriptorType = (VkDescriptorType)kind, .pImageInfo = &image};
+    t->s->device->vk.UpdateDescriptorSets(t->s->device->device, 1, &write, 0, NULL);
+}
+
+/* Binds what is read. */
+static void bind_images(const Tape *t, VkDescriptorSet set, const Binding *bindings, uint32_t count, Indices images) {
+    for (uint32_t b = 0; b < count; b++)
+        bind_image(t, set, b, bindings[b].kind, bindings[b].kind == 1 ? t->s->samplers[bindings[b].sampler] : VK_NULL_HANDLE, images.at[b]);
+}
+
+static VkDescriptorSet make_set(const Tape *t, const Draw *draw) {
+    const Pipeline *p = t->s->v->pipelines + draw->pipeline;
+    VkDescriptorSet set = new_set(t, t->s->set_layouts + t->s->shared[draw->pipeline]);
+    bind_images(t, set, p->bindings, p->binding_count, draw->images);
     return set;
 }
 
@@ -60,11 +70,11 @@ static void record_draw(Tape *t, const Draw *draw, uint32_t *counted) {
     }
 }
 
-/* Copies what the counts of this stage's draws are into their commands. */
+/* Copies what the counts of this stage's draws, or of its dispatch, are into their commands. */
 static void copy_counts(Tape *t, const Stage *stage) {
     const Vulkan *vk = &t->s->device->vk;
     bool copied = false;
-    for (uint32_t j = 0; j < t->s->v->passes[stage->pass].subpass_count; j++)
+    for (uint32_t j = 0; j < stage->subpass_count; j++)
         for (uint32_t d = 0; d < stage->subpasses[j].count; d++) {
             int64_t ref = stage->subpasses[j].draws[d].count;
             if (ref < 0) continue;
@@ -81,10 +91,44 @@ static void copy_counts(Tape *t, const Stage *stage) {
                                        0, NULL, 0, NULL);
 }
 
+/* Clears the outputs that are to be; then the workgroups. */
+static void record_dispatch(Tape *t, const Stage *stage) {
+    Session *s = t->s;
+    const Vulkan *vk = &s->device->vk;
+    const Compute *compute = s->v->computes + stage->compute;
+    VkCommandBuffer c = t->made->commands;
+    VkDeviceSize at = COMMAND * (VkDeviceSize)t->used;
+    VkImageSubresourceRange whole = {VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1};
+    bool cleared = false;
+    if (stage->wait) barrier(s, c);
+    for (uint32_t k = 0; k < compute->output_count; k++) {
+        if (compute->outputs[k].load != 1) continue;
+        uint32_t ref = stage->attachments.at[k];
+        VkClearColorValue value;
+        for (int channel = 0; channel < 4; channel++) value.int32[channel] = compute->outputs[k].clear;
+        vk->CmdClearColorImage(c, s->images[ref / 2][slot_of(t, ref)], VK_IMAGE_LAYOUT_GENERAL, &value, 1, &whole);
+        cleared = true;
+    }
+    copy_counts(t, stage);
+    if (cleared) barrier(s, c);
+    VkDescriptorSet set = new_set(t, s->compute_sets + stage->compute);
+    bind_images(t, set, compute->bindings, compute->binding_count, stage->subpasses->draws->images);
+    for (uint32_t k = 0; k < compute->output_count; k++)
+        bind_image(t, set, compute->binding_count + k, VK_DESCRIPTOR_TYPE_STORAGE_IMAGE, VK_NULL_HANDLE, stage->attachments.at[k]);
+    vk->CmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, s->computes[stage->compute]);
+    vk->CmdBindDescriptorSets(c, VK_PIPELINE_BIND_POINT_COMPUTE, s->compute_layouts[stage->compute], 0, 1, &set, 0, NULL);
+    if (stage->subpasses->draws->count >= 0) vk->CmdDispatchIndirect(c, t->made->counts, at);
+    else vk->CmdDispatch(c, stage->groups[0], stage->groups[1], stage->groups[2]);
+}
+
 static void record_stage(Tape *t, uint32_t k) {
     Session *s = t->s;
     const Vulkan *vk = &s->device->vk;
     const Stage *stage = t->plan->stages + k;
+    if (stage->compute >= 0) {
+        record_dispatch(t, stage);
+        return;
+    }
     const Pass *pass = s->v->passes + stage->pass;
     VkCommandBuffer c = t->made->commands;
     uint32_t n = pass->attachment_count, counted = t->used;
@@ -117,16 +161,22 @@ static void record_stage(Tape *t, uint32_t k) {
 static void create_sets(const Tape *t) {
     const Variant *v = t->s->v;
     VkDescriptorPoolSize sizes[] = {{VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER, 1}, {VK_DESCRIPTOR_TYPE_SAMPLED_IMAGE, 1},
-                                    {VK_DESCRIPTOR_TYPE_INPUT_ATTACHMENT, 1}};
+                                    {VK_DESCRIPTOR_TYPE_INPUT_ATTACHMENT, 1}, {VK_DESCRIPTOR_TYPE_STORAGE_IMAGE, 1}};
     uint32_t sets = 1;
-    for (uint32_t k = 0; k < t->plan->stage_count; k++)
-        for (uint32_t j = 0; j < v->passes[t->plan->stages[k].pass].subpass_count; j++)
-            for (uint32_t d = 0; d < t->plan->stages[k].subpasses[j].count; d++, sets++) {
-                const Pipeline *p = v->pipelines + t->plan->stages[k].subpasses[j].draws[d].pipeline;
-                for (uint32_t b = 0; b < p->binding_count; b++)
-                    sizes[p->bindings[b].kind == 1 ? 0 : p->bindings[b].kind == 2 ? 1 : 2].descriptorCount++;
+    for (uint32_t k = 0; k < t->plan->stage_count; k++) {
+        const Stage *stage = t->plan->stages + k;
+        const Compute *compute = stage->compute < 0 ? NULL : v->computes + stage->compute;
+        for (uint32_t j = 0; j < stage->subpass_count; j++)
+            for (uint32_t d = 0; d < stage->subpasses[j].count; d++, sets++) {
+                const Pipeline *p = compute ? NULL : v->pipelines + stage->subpasses[j].draws[d].pipeline;
+                const Binding *bindings = compute ? compute->bindings : p->bindings;
+                for (uint32_t b = 0; b < (compute ? compute->binding_count : p->binding_count); b++)
+                    sizes[bindings[b].kind == 1 ? 0 : bindings[b].kind == 2 ? 1 : 2].descriptorCount++;
             }
-    VkDescriptorPoolCreateInfo info = {TYPE(DESCRIPTOR_POOL_CREATE_INFO), .maxSets = sets, .poolSizeCount = 3, .pPoolSizes = sizes};
+        if (compute) sizes[3].descriptorCount += compute->output_count;
+    }
+    VkDescriptorPoolCreateInfo info = {TYPE(DESCRIPTOR_POOL_CREATE_INFO), .maxSets = sets, .poolSizeCount = v->compute_count ? 4 : 3,
+                                       .pPoolSizes = sizes};
     MUST(t->call, &t->s->device->vk, CreateDescriptorPool, t->s->device->device, &info, NULL, &t->made->sets);
 }
 
@@ -136,7 +186,7 @@ static void create_counts(const Tape *t) {
     VkDevice device = s->device->device;
     uint32_t count = 0;
     for (uint32_t k = 0; k < t->plan->stage_count; k++)
-        for (uint32_t j = 0; j < s->v->passes[t->plan->stages[k].pass].subpass_count; j++)
+        for (uint32_t j = 0; j < t->plan->stages[k].subpass_count; j++)
             for (uint32_t d = 0; d < t->plan->stages[k].subpasses[j].count;
                 d++) count += t->plan->stages[k].subpasses[j].draws[d].count >= 0;
     if (!count) return;
@@ -152,7 +202,15 @@ static void create_counts(const Tape *t) {
     MUST(t->call, vk, BindBufferMemory, device, t->made->counts, t->made->count_memory, 0);
     void *view;
     MUST(t->call, vk, MapMemory, device, t->made->count_memory, 0, VK_WHOLE_SIZE, 0, &view);
-    for (uint32_t k = 0; k < count; k++) ((VkDrawIndirectCommand *)view)[k] = (VkDrawIndirectCommand){0, 1, 0, 0};
+    count = 0;
+    for (uint32_t k = 0; k < t->plan->stage_count; k++) { /* a dispatch's command is x, y, z */
+        const Stage *stage = t->plan->stages + k;
+        for (uint32_t j = 0; j < stage->subpass_count; j++)
+            for (uint32_t d = 0; d < stage->subpasses[j].count; d++)
+                if (stage->subpasses[j].draws[d].count >= 0)
+                    ((VkDrawIndirectCommand *)view)[count++] = stage->compute < 0 ? (VkDrawIndirectCommand){0, 1, 0, 0} :
+                        (VkDrawIndirectCommand){0, stage->groups[1], stage->groups[2], 0};
+    }
 }
 
 static void destroy(Session *s, Recording *made, uint32_t stages) {

@@ -40,7 +40,7 @@ static void make_report(Session *s, Call *call, void *arguments) {
     say_counts(s, text, true);
     say(text, ", \"image_bytes\": %llu, \"staging_bytes\": %llu, \"pipelines\": %u, \"pipeline_cache\": ",
         (unsigned long long)s->image_bytes,
-        (unsigned long long)s->staging.size, s->v->pipeline_count);
+        (unsigned long long)s->staging.size, s->v->pipeline_count + s->v->compute_count);
     say_json(text, s->cache.state);
     say(text, "}");
     if (text->broken) fail(call, DRESSI_MEMORY, "no memory for the report");

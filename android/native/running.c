@@ -46,7 +46,7 @@ static void prepare_plan(Session *s, Call *call, uint32_t k, uint32_t *seen_valu
             uint32_t image = stage->attachments.at[a] / 2;
             if (v->images[image].slots == 2) add(items, &count, seen_image, k + 1, (Indices){1, &image});
         }
-        for (uint32_t j = 0; j < v->passes[stage->pass].subpass_count; j++)
+        for (uint32_t j = 0; j < stage->subpass_count; j++)
             for (uint32_t d = 0; d < stage->subpasses[j].count; d++) {
                 const Draw *draw = stage->subpasses[j].draws + d;
                 for (uint32_t b = 0; b <= draw->images.count; b++) {

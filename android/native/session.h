@@ -12,7 +12,7 @@ typedef struct Recording {
     VkCommandBuffer commands;
     VkDescriptorPool sets;
     VkFramebuffer *framebuffers; /* one a stage */
-    VkBuffer counts;             /* a draw command for each draw that has a count */
+    VkBuffer counts;             /* a command for each draw or dispatch that has a count */
     VkDeviceMemory count_memory;
 } Recording;
 
@@ -66,6 +66,9 @@ struct dressi_session {
     VkPipelineLayout *layouts;
     uint32_t *shared;
     VkPipeline *pipelines;
+    VkDescriptorSetLayout *compute_sets; /* one a compute, as the next two */
+    VkPipelineLayout *compute_layouts;
+    VkPipeline *computes;
     Cache cache;
 
     uint8_t *parity;   /* by image */

@@ -6,8 +6,8 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { MAX_WORDS = 1 << 20, TYPES = 9 };
-enum { RELAXED, BLOCK, BUILT_IN, NO_PERSPECTIVE, FLAT, CENTROID, INVARIANT, LOCATION, BINDING, SET, NO_CONTRACTION, ATTACHMENT, NO_MARK };
+enum { MAX_WORDS = 1 << 20, TYPES = 9, LOCAL_SIZE = 17, MAX_INVOCATIONS = 1 << 16, WORKGROUP_SIZE = 25 };
+enum { RELAXED, BLOCK, BUILT_IN, NO_PERSPECTIVE, FLAT, CENTROID, INVARIANT, NON_READABLE, LOCATION, BINDING, SET, NO_CONTRACTION, ATTACHMENT, NO_MARK };
 
 #define BIT(mark) (1u << (mark))
 enum {
@@ -19,7 +19,7 @@ enum {
 };
 
 static uint32_t mark_of(uint32_t decoration) {
-    static const uint8_t numbers[] = {0, 2, 11, 13, 14, 16, 18, 30, 33, 34, 42, 43}; /* in the order of the marks */
+    static const uint8_t numbers[] = {0, 2, 11, 13, 14, 16, 18, 25, 30, 33, 34, 42, 43}; /* in the order of the marks */
     for (uint32_t k = 0; k < NO_MARK; k++)
         if (numbers[k] == decoration) return k;
     return NO_MARK;
@@ -69,7 +69,8 @@ static void told_of(Module *m, uint32_t op, Ops o) {
 static void entry_point(Module *m, Ops o) {
     operands(m, o, 4, NO_LIMIT);
     if (m->stage) WRONG(m, o.at, "a second entry point");
-    if (O(0) != 0 && O(0) != 4) WRONG(m, o.at, "execution model %u; vertex (0) and fragment (4) are allowed", O(0));
+    if (O(0) != 0 && O(0) != 4 && O(0) != 5)
+        WRONG(m, o.at, "execution model %u; vertex (0), fragment (4) and compute (5) are allowed", O(0));
     if (O(2) != 0x6e69616d || O(3)) WRONG(m, o.at, "the entry point must be called main");
     bool twice = false;
     m->entry = check_id(m, O(1), o.at);
@@ -78,15 +79,24 @@ static void entry_point(Module *m, Ops o) {
         twice |= m->listed[O(k)];
         m->listed[O(k)] = true;
     }
-    m->stage = O(0) ? FRAGMENT_STAGE : VERTEX_STAGE;
+    m->stage = !O(0) ? VERTEX_STAGE : O(0) == 4 ? FRAGMENT_STAGE : COMPUTE_STAGE;
     if (twice) WRONG(m, o.at, "the entry point names a variable twice");
 }
 
 static void execution_mode(Module *m, Ops o) {
-    operands(m, o, 2, 2);
+    bool local = o.n > 1 && O(1) == LOCAL_SIZE && m->stage == COMPUTE_STAGE;
+    operands(m, o, local ? 5 : 2, local ? 5 : 2);
     mention(m->moded, &m->moded_count, m->is_moded, check_id(m, O(0), o.at), o.at);
+    for (int k = 0; local && k < 3; k++) m->local_size[k] = O(2 + k);
+    if (local) {
+        uint64_t product = 1;
+        for (int k = 0; k < 3 && product <= MAX_INVOCATIONS; k++) product *= m->local_size[k];
+        bool none = !m->local_size[0] || !m->local_size[1] || !m->local_size[2];
+        if (none || product > MAX_INVOCATIONS)
+            WRONG(m, o.at, "workgroups of %u x %u x %u invocations; 1 to %d are allowed", O(2), O(3), O(4), MAX_INVOCATIONS);
+    }
     uint32_t mode = O(1), depths = 1u << 14 | 1u << 15 | 1u << 16, known = 1u << 7 | 1u << 9 | 1u << 12 | depths;
-    if (mode > 16 || !(known >> mode & 1)) WRONG(m, o.at, "execution mode %u is not allowed", mode);
+    if (!local && (mode > 16 || !(known >> mode & 1))) WRONG(m, o.at, "execution mode %u is not allowed", mode);
     if (m->modes >> mode & 1 || (depths >> mode & 1 && m->modes & depths))
         WRONG(m, o.at, "execution mode %u is given twice, or with another of the kind", mode);
     m->modes |= 1u << mode;
@@ -97,8 +107,8 @@ static void variable(Module *m, Ops o) {
     uint32_t storage = O(2);
     const Type *type = type_of(m, O(0), o.at);
     if (type->kind != POINTER || type->storage != storage) WRONG(m, o.at, "a variable whose type is no pointer to its storage class");
-    if (storage != UNIFORM_CONSTANT && storage != IN && storage != OUT && storage != PRIVATE)
-        WRONG(m, o.at, "a variable of storage class %u; images, inputs, outputs and private ones are allowed", storage);
+    if (storage != UNIFORM_CONSTANT && storage != IN && storage != OUT && storage != PRIVATE && storage != WORKGROUP)
+        WRONG(m, o.at, "a variable of storage class %u; images, inputs, outputs, private and shared ones are allowed", storage);
     if (o.n == 4 && ((storage != OUT && storage != PRIVATE) || O(3) >= m->bound || !m->fixed[O(3)] || m->values[O(3)] != type->of))
         WRONG(m, o.at, "a variable that begins with what is no constant of its type, or may not");
     weigh(m, m->types + type->of, o.at);
@@ -251,6 +261,9 @@ static bool is_type(const Module *m, uint32_t x, const char *want) {
 static const char *built_in_type(const Module *m, uint32_t storage, uint32_t number) {
     if (m->stage == VERTEX_STAGE && storage == IN) return number == 42 || number == 43 ? "i1" : "";
     if (m->stage == VERTEX_STAGE) return number == 0 ? "f4" : number == 1 ? "f1" : "";
+    if (m->stage == COMPUTE_STAGE && storage == IN)
+        return number == 24 || (number >= 26 && number <= 28) ? "u3" : number == 29 ? "u1" : "";
+    if (m->stage == COMPUTE_STAGE) return "";
     if (storage == IN) return number == 15 ? "f4" : number == 16 ? "f2" : number == 17 ? "b1" : "";
     return number == 22 ? "f1" : "";
 }
@@ -299,8 +312,8 @@ static void bind(const Module *m, uint32_t x, const Type *type, Interface *found
     if (number < m->count) seen[number] = true;
     if (type->is_attachment != (marks->has >> ATTACHMENT & 1) || (type->is_attachment && m->stage != FRAGMENT_STAGE))
         FAIL(m, "binding %u: an input attachment, and nothing else, needs an index, in a fragment shader", number);
-    found->used[found->used_count++] = (Used){number, type->kind == SAMPLED ? 1 : type->is_attachment ? 10 : 2,
-                                              type->is_attachment ? marks->attachment : 0, type->is_integer};
+    found->used[found->used_count++] = (Used){number, type->kind == SAMPLED ? 1 : type->is_attachment ? 10 : type->format ? 3 : 2,
+                                              type->is_attachment ? marks->attachment : type->format, type->is_integer};
 }
 
 static void locate(const Module *m, uint32_t x, const Type *type, Location *side, uint32_t storage) {
@@ -323,13 +336,35 @@ static uint64_t components(const Location *side, uint64_t extra) {
     return 4 * (uint64_t)top + extra;
 }
 
+/* Whether an id is the constant of the size of a workgroup, and says what the execution mode does. */
+static bool says_size(const Module *m, uint32_t x) {
+    if (m->stage != COMPUTE_STAGE || !m->composites[x] || !is_type(m, m->values[x], "u3")) return false;
+    for (uint32_t k = 0; k < 3; k++) {
+        uint32_t part = word(m, m->composites[x] + k);
+        if (!m->is_integer[part] || m->integers[part] != m->local_size[k]) return false;
+    }
+    return true;
+}
+
+/* What a variable of this type takes at most: three of a vector count four. */
+static uint64_t bytes_of(const Module *m, uint32_t x) {
+    const Type *type = m->types + x;
+    uint64_t sum = 0;
+    if (type->letter) return 4 * (type->components == 3 ? 4 : type->components);
+    if (type->kind != STRUCT) return type->count * bytes_of(m, type->of);
+    for (uint32_t k = 0; k < type->count; k++) sum += bytes_of(m, part_of(m, type, k));
+    return sum;
+}
+
 static void check_marks(const Module *m) {
     if (m->stage == FRAGMENT_STAGE && !(m->modes >> 7 & 1)) FAIL(m, "is a fragment shader without OriginUpperLeft");
+    if (m->stage == COMPUTE_STAGE && m->modes != 1u << LOCAL_SIZE) FAIL(m, "is a compute shader without LocalSize, or with another mode");
     for (uint32_t x = 0; x < m->bound; x++)
         if (m->listed[x] && m->storage_of[x] != IN + 1 && m->storage_of[x] != OUT + 1)
             FAIL(m, "has an entry point that names id %u, which is no input or output", x);
     for (uint32_t k = 0; k < m->marked_count; k++) {
         uint32_t x = m->marked[k], has = m->marks[x].has;
+        if (has == BIT(BUILT_IN) && m->marks[x].built_in == WORKGROUP_SIZE && says_size(m, x)) continue;
         if ((has & BIT(BLOCK) && m->types[x].kind != STRUCT) || (has & ~(FREE | BIT(BLOCK)) && !m->storage_of[x]))
             FAIL(m, "id %u: a decoration of what it does not go with", x);
     }
@@ -349,10 +384,13 @@ static const Interface *interface_of(Module *m) {
         if (m->touched[x] && varying && !m->listed[x])
             FAIL(m, "id %u: an input or output that is used and not named by the entry point", x);
         m->writes_size |= m->touched[x] && m->marks[x].has & BIT(BUILT_IN) && m->marks[x].built_in == 1;
-        uint32_t allowed = FREE | (storage == UNIFORM_CONSTANT ? OF_IMAGES : varying ? OF_VARYINGS : 0);
+        uint32_t allowed = FREE | (storage == UNIFORM_CONSTANT ? OF_IMAGES | (type->format ? BIT(NON_READABLE) : 0) : varying ? OF_VARYINGS : 0);
         if (m->marks[x].has & ~allowed) FAIL(m, "id %u: a decoration that variables of its storage class have not", x);
         if (storage == UNIFORM_CONSTANT) bind(m, x, type, found, seen);
+        if (storage == WORKGROUP) found->shared_bytes += bytes_of(m, pointee);
         if (!varying) continue;
+        if (m->stage == COMPUTE_STAGE && !(m->marks[x].has & BIT(BUILT_IN)))
+            FAIL(m, "id %u: an input or output of a compute shader that is no built-in", x);
         uint64_t mine = built_ins(m, x, storage, pointee);
         if (mine & built_in[storage == OUT]) FAIL(m, "id %u: a built-in that there is already", x);
         built_in[storage == OUT] |= mine;
@@ -368,6 +406,7 @@ static const Interface *interface_of(Module *m) {
     found->input_components = components(found->inputs, extra[0]);
     found->output_components = components(found->outputs, extra[1]);
     found->writes_size = m->writes_size;
+    for (int k = 0; k < 3; k++) found->local_size[k] = m->local_size[k];
     return found;
 }
 
@@ -378,6 +417,7 @@ static void make_room(Module *m) {
     m->types = make_scratch(r, m->bound, sizeof *m->types);
     m->values = make_scratch(r, m->bound, 4);
     m->integers = make_scratch(r, m->bound, 4);
+    m->composites = make_scratch(r, m->bound, 4);
     m->marks = make_scratch(r, m->bound, sizeof *m->marks);
     m->marked = make_scratch(r, m->bound, 4);
     m->named = make_scratch(r, m->bound, sizeof *m->named);
@@ -407,7 +447,7 @@ const Interface *parse_shader(Reader *r, const uint8_t *data, uint64_t size) {
     for (uint32_t k = 0; k < m->named_count; k++)
         if (!m->defined[m->named[k].id]) WRONG(m, m->named[k].at, "speaks of id %u, which nothing defines", m->named[k].id);
     for (uint32_t k = 0; k < m->moded_count; k++)
-        if (m->moded[k].id != m->entry || m->stage != FRAGMENT_STAGE)
+        if (m->moded[k].id != m->entry || (m->stage != FRAGMENT_STAGE && m->modes != 1u << LOCAL_SIZE))
             WRONG(m, m->moded[k].at, "an execution mode of what is no fragment shader");
     return interface_of(m);
 }

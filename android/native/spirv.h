@@ -7,12 +7,14 @@
 #include "inside.h"
 
 typedef enum TypeKind { NO_TYPE, VOID, BOOL, INT, UINT, FLOAT, VECTOR, MATRIX, LIST, STRUCT, PICTURE, SAMPLED, POINTER, FUNCTION } TypeKind;
-enum { UNIFORM_CONSTANT = 0, IN = 1, OUT = 3, PRIVATE = 6, LOCAL = 7, VERTEX_STAGE = 1, FRAGMENT_STAGE = 16, NO_LIMIT = -1 };
+enum { UNIFORM_CONSTANT = 0, IN = 1, OUT = 3, WORKGROUP = 4, PRIVATE = 6, LOCAL = 7, TEXEL = 11 };
+enum { VERTEX_STAGE = 1, FRAGMENT_STAGE = 16, COMPUTE_STAGE = 32, NO_LIMIT = -1 };
 
 typedef struct Type {
     uint8_t kind, depth, storage;
     char letter;                      /* b i u f of a scalar or vector, else 0 */
     bool is_integer, is_attachment;   /* of images: what a read gives; a subpass input */
+    uint8_t format;                   /* the VkFormat of a storage image, else 0 */
     uint64_t components;              /* scalars in all */
     uint32_t count, of;               /* immediate parts; the type of parts, of what is pointed to, of the image, or returned */
     uint32_t members, member_count;   /* of a structure its parts, of a function its parameters: words from `members` on */
@@ -29,6 +31,8 @@ typedef struct Module {
     Type *types;
     uint32_t *values;           /* id -> the id of its type, or 0 */
     uint32_t *integers;         /* id of a constant integer -> its bits */
+    uint32_t *composites;       /* id of a constant -> the word of its first part, or 0 */
+    uint32_t local_size[3];
     bool *is_integer, *fixed, *defined, *touched, *listed, *closed; /* fixed: constants; closed: structures of built-ins */
     uint8_t *storage_of;        /* of variables outside functions: storage class + 1 */
     uint32_t variable_count, (*variables)[3]; /* id, storage class, type */
@@ -118,12 +122,16 @@ void read_functions(Module *m, uint32_t at);
 uint32_t value(Body *b, uint32_t x, uint32_t at);              /* the id of the type of a value that there is */
 const Type *value_type(Body *b, uint32_t x, uint32_t at);
 const Type *pointer(Body *b, uint32_t x, uint32_t at);
+const Type *shared_pointer(Body *b, uint32_t x, uint32_t at);  /* to a texel, too */
+const Type *image_operand(Body *b, uint32_t x, TypeKind kind, uint32_t at, bool attachment, bool storage);
+void place_in(Body *b, uint32_t x, const char *letters, uint32_t least, uint32_t at, uint32_t most);
 const Type *result(Body *b, uint32_t kind, uint32_t x, uint32_t at);
 void only_fragments(Body *b, uint32_t op, uint32_t at);
 
-/* spirv_numbers.c and spirv_values.c: false if they do not know the opcode; `o` NULL asks no more than that */
+/* spirv_numbers.c, spirv_values.c and spirv_shared.c: false if they do not know the opcode; `o` NULL asks no more than that */
 bool number_instruction(Body *b, uint32_t op, const Ops *o);
 bool value_instruction(Body *b, uint32_t op, const Ops *o);
+bool shared_instruction(Body *b, uint32_t op, const Ops *o);
 void extended_instruction(Body *b, Ops o);
 
 #endif

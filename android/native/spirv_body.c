@@ -32,6 +32,13 @@ const Type *value_type(Body *b, uint32_t x, uint32_t at) { return b->m->types + 
 
 const Type *pointer(Body *b, uint32_t x, uint32_t at) {
     const Type *found = value_type(b, x, at);
+    if (found->kind != POINTER || found->storage == TEXEL) WRONG(b->m, at, "id %u is no pointer", x);
+    b->m->touched[x] = true;
+    return found;
+}
+
+const Type *shared_pointer(Body *b, uint32_t x, uint32_t at) {
+    const Type *found = value_type(b, x, at);
     if (found->kind != POINTER) WRONG(b->m, at, "id %u is no pointer", x);
     b->m->touched[x] = true;
     return found;
@@ -177,14 +184,14 @@ static bool instruction(Body *b, uint32_t op, Ops o) {
     case VARIABLE: variable(b, o); break;
     case PHI: phi(b, o); break;
     case LOOP_MERGE: case SELECTION_MERGE: merge(b, o, op); break;
-    default: return number_instruction(b, op, &o) || value_instruction(b, op, &o);
+    default: return number_instruction(b, op, &o) || value_instruction(b, op, &o) || shared_instruction(b, op, &o);
     }
     return true;
 }
 
 static bool is_known(Body *b, uint32_t op) {
     return is_line(op) || is_end(op) || op == 12 || op == 57 || op == 61 || op == 62 || op == VARIABLE || op == PHI || op == LOOP_MERGE ||
-           op == SELECTION_MERGE || number_instruction(b, op, NULL) || value_instruction(b, op, NULL);
+           op == SELECTION_MERGE || number_instruction(b, op, NULL) || value_instruction(b, op, NULL) || shared_instruction(b, op, NULL);
 }
 
 /* ---- Functions ---- */

@@ -80,11 +80,15 @@ static Type image_type(Module *m, Ops o) {
     const Type *x = type_of(m, op_at(m, o, 1), o.at);
     uint32_t dim = op_at(m, o, 2), depth = op_at(m, o, 3), sampled = op_at(m, o, 6);
     if (x->kind != FLOAT && x->kind != INT) WRONG(m, o.at, "an image of what is neither float nor int");
-    bool fits = (dim == 1 && sampled == 1) || (dim == 6 && sampled == 2);
-    if (!fits || (depth != 0 && depth != 2) || op_at(m, o, 4) || op_at(m, o, 5) || op_at(m, o, 7))
-        WRONG(m, o.at, "an image that is neither sampled 2D nor subpass input");
+    uint32_t format = op_at(m, o, 7), storage = 0;
+    if (m->stage == COMPUTE_STAGE && dim == 1 && sampled == 2)
+        storage = format == 1 ? 109 : format == 2 ? 97 : format == 3 ? 100 : format == 21 ? 108 : format == 24 ? 99 : 0;
+    bool fits = ((dim == 1 && sampled == 1) || (dim == 6 && sampled == 2)) && !format;
+    if ((!fits && !storage) || (depth != 0 && depth != 2) || op_at(m, o, 4) || op_at(m, o, 5))
+        WRONG(m, o.at, "an image that is neither sampled 2D nor subpass input nor, of a compute shader, storage of a format for it");
+    if (storage && is_integer(storage) != (x->kind == INT)) WRONG(m, o.at, "a storage image whose format does not hold its numbers");
     if (dim == 6 && !(m->capabilities >> 40 & 1)) WRONG(m, o.at, "a subpass input without capability 40");
-    return (Type){.kind = PICTURE, .of = op_at(m, o, 1), .is_integer = x->kind == INT, .is_attachment = dim == 6};
+    return (Type){.kind = PICTURE, .of = op_at(m, o, 1), .is_integer = x->kind == INT, .is_attachment = dim == 6, .format = (uint8_t)storage};
 }
 
 static Type struct_type(Module *m, Ops o) {
@@ -100,13 +104,16 @@ static Type struct_type(Module *m, Ops o) {
 
 static Type pointer_type(Module *m, Ops o) {
     uint32_t storage = op_at(m, o, 1), of = op_at(m, o, 2);
-    if (storage != UNIFORM_CONSTANT && storage != IN && storage != OUT && storage != PRIVATE && storage != LOCAL)
-        WRONG(m, o.at, "a pointer to storage class %u; images, inputs, outputs, private and local variables are allowed", storage);
+    bool shared = m->stage == COMPUTE_STAGE && (storage == WORKGROUP || storage == TEXEL);
+    if (storage != UNIFORM_CONSTANT && storage != IN && storage != OUT && storage != PRIVATE && storage != LOCAL && !shared)
+        WRONG(m, o.at, "a pointer to storage class %u; images, inputs, outputs, private and local variables, and those that the invocations "
+              "of a compute shader share, are allowed", storage);
     const Type *x = type_of(m, of, o.at);
     if (storage == UNIFORM_CONSTANT ? x->kind != PICTURE && x->kind != SAMPLED : !x->components)
         WRONG(m, o.at, "a pointer of storage class %u to %s", storage, kind_word(x));
     if (m->closed[of] && storage != OUT)
         WRONG(m, o.at, "a structure of built-ins in storage class %u; outputs are allowed", storage);
+    if (storage == TEXEL && x->kind != INT) WRONG(m, o.at, "a pointer to texels that are %s; int is allowed", kind_word(x));
     return (Type){.kind = POINTER, .of = of, .storage = (uint8_t)storage};
 }
 
@@ -117,6 +124,8 @@ static Type function_type(Module *m, Ops o) {
         const Type *x = type_of(m, op_at(m, o, k), o.at);
         if (x->kind == FUNCTION || x->kind == PICTURE || x->kind == SAMPLED || (op_at(m, o, k) != given && x->kind == VOID))
             WRONG(m, o.at, "a function that takes or returns %s", kind_word(x));
+        if (x->kind == POINTER && (x->storage == WORKGROUP || x->storage == TEXEL))
+            WRONG(m, o.at, "a function that takes a pointer to what invocations share");
         takes_given |= k > 1 && op_at(m, o, k) == given;
     }
     if (m->types[given].kind == POINTER) WRONG(m, o.at, "a function that returns a pointer");
@@ -149,7 +158,7 @@ static Type new_type(Module *m, uint32_t op, Ops o) {
     case 25: return image_type(m, o);
     case 27:
         x = type_of(m, a, o.at);
-        if (x->kind != PICTURE || x->is_attachment) WRONG(m, o.at, "a combined sampler of what is no sampled image");
+        if (x->kind != PICTURE || x->is_attachment || x->format) WRONG(m, o.at, "a combined sampler of what is no sampled image");
         return (Type){.kind = SAMPLED, .of = a, .is_integer = x->is_integer};
     case 28: {
         x = holds(m, a, o.at);
@@ -194,6 +203,7 @@ void declare_constant(Module *m, uint32_t op, Ops o) {
             if (part >= m->bound || !m->fixed[part] || m->values[part] != part_of(m, type, k))
                 WRONG(m, o.at, "a part (id %u) that is no constant of the type of the part", check_id(m, part, o.at));
         }
+        if (x < m->bound) m->composites[x] = o.at + 3;
     }
     if (!type->letter) weigh(m, type, o.at);
     m->fixed[define(m, x, o.at)] = true;

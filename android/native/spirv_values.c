@@ -147,14 +147,15 @@ static void texel(Body *b, Ops o, const Type *image) {
     finish(b, o);
 }
 
-static const Type *image_operand(Body *b, uint32_t x, TypeKind kind, uint32_t at, bool attachment) {
+const Type *image_operand(Body *b, uint32_t x, TypeKind kind, uint32_t at, bool attachment, bool storage) {
     const Type *found = value_type(b, x, at);
-    if (found->kind != kind || found->is_attachment != attachment)
-        WRONG(b->m, at, "id %u is no %s%s", x, kind == SAMPLED ? "sampled" : "image", attachment ? " of a subpass" : "");
+    if (found->kind != kind || found->is_attachment != attachment || (found->format != 0) != storage)
+        WRONG(b->m, at, "id %u is no %s%s", x, kind == SAMPLED ? "sampled" : "image",
+              attachment ? " of a subpass" : storage ? " to write" : "");
     return found;
 }
 
-static void place_in(Body *b, uint32_t x, const char *letters, uint32_t least, uint32_t at, uint32_t most) {
+void place_in(Body *b, uint32_t x, const char *letters, uint32_t least, uint32_t at, uint32_t most) {
     const Type *type = value_type(b, x, at);
     if (!type->letter || !letter_in(type, letters) || type->components < least || type->components > most)
         WRONG(b->m, at, "id %u is no place in an image", x);
@@ -165,7 +166,7 @@ static void sample(Body *b, Ops o, uint32_t op) {
     Module *m = b->m;
     bool is_explicit = op == 88 || op == 92, projective = op > 90;
     operands(m, o, 4, NO_LIMIT);
-    const Type *image = image_operand(b, O(2), SAMPLED, o.at, false);
+    const Type *image = image_operand(b, O(2), SAMPLED, o.at, false, false);
     if (!is_explicit) only_fragments(b, op, o.at);
     place_in(b, O(3), "f", 2 + projective, o.at, 4);
     uint32_t which = o.n > 4 ? O(4) & (LOD | GRAD) : 0;
@@ -177,7 +178,7 @@ static void sample(Body *b, Ops o, uint32_t op) {
 
 static void fetch(Body *b, Ops o) {
     operands(b->m, o, 4, NO_LIMIT);
-    const Type *image = image_operand(b, O(2), PICTURE, o.at, false);
+    const Type *image = image_operand(b, O(2), PICTURE, o.at, false, false);
     place_in(b, O(3), "iu", 2, o.at, 4);
     if (o.n > 5 && O(4) & LOD) scalar(b, O(5), "iu", o.at);
     image_operands(b, o, 4, LOD | OFFSET);
@@ -186,7 +187,7 @@ static void fetch(Body *b, Ops o) {
 
 static void gather(Body *b, Ops o) {
     operands(b->m, o, 5, NO_LIMIT);
-    const Type *image = image_operand(b, O(2), SAMPLED, o.at, false);
+    const Type *image = image_operand(b, O(2), SAMPLED, o.at, false, false);
     place_in(b, O(3), "f", 2, o.at, 4);
     scalar(b, O(4), "iu", o.at);
     image_operands(b, o, 5, OFFSET);
@@ -195,7 +196,7 @@ static void gather(Body *b, Ops o) {
 
 static void read_subpass(Body *b, Ops o) {
     operands(b->m, o, 4, 4);
-    const Type *image = image_operand(b, O(2), PICTURE, o.at, true);
+    const Type *image = image_operand(b, O(2), PICTURE, o.at, true, false);
     if (b->m->stage != FRAGMENT_STAGE) WRONG(b->m, o.at, "a subpass input belongs to fragment shaders");
     place_in(b, O(3), "iu", 2, o.at, 4);
     texel(b, o, image);
@@ -203,7 +204,7 @@ static void read_subpass(Body *b, Ops o) {
 
 static void image_of(Body *b, Ops o) {
     operands(b->m, o, 3, 3);
-    if (image_operand(b, O(2), SAMPLED, o.at, false)->of != O(0)) WRONG(b->m, o.at, "the image of a combined sampler, of another type");
+    if (image_operand(b, O(2), SAMPLED, o.at, false, false)->of != O(0)) WRONG(b->m, o.at, "the image of a combined sampler, of another type");
     finish(b, o);
 }
 
@@ -212,7 +213,7 @@ static void query(Body *b, Ops o, uint32_t op) {
     Module *m = b->m;
     uint32_t needed = op == 106 ? 3 : 4;
     operands(m, o, needed, needed);
-    image_operand(b, O(2), op == 105 ? SAMPLED : PICTURE, o.at, false);
+    image_operand(b, O(2), op == 105 ? SAMPLED : PICTURE, o.at, false, false);
     if (op == 105) only_fragments(b, op, o.at);
     if (op == 103) place_in(b, O(3), "iu", 1, o.at, 1);
     if (op == 105) place_in(b, O(3), "f", 2, o.at, 4);

@@ -3,15 +3,24 @@
 #include "inside.h"
 
 const char *const LIMIT_NAMES[LIMIT_COUNT] = {
-    "maxColorAttachments", "maxDescriptorSetInputAttachments", "maxDescriptorSetSampledImages", "maxDescriptorSetSamplers",
-    "maxFragmentCombinedOutputResources", "maxFragmentInputComponents", "maxFragmentOutputAttachments", "maxFramebufferHeight",
-    "maxFramebufferWidth", "maxImageDimension2D", "maxPerStageDescriptorInputAttachments", "maxPerStageDescriptorSampledImages",
-    "maxPerStageDescriptorSamplers", "maxPerStageResources", "maxVertexOutputComponents", "subPixelPrecisionBits",
+    "maxColorAttachments", "maxComputeSharedMemorySize", "maxComputeWorkGroupInvocations", "maxDescriptorSetInputAttachments",
+    "maxDescriptorSetSampledImages", "maxDescriptorSetSamplers", "maxDescriptorSetStorageImages", "maxFragmentCombinedOutputResources",
+    "maxFragmentInputComponents", "maxFragmentOutputAttachments", "maxFramebufferHeight", "maxFramebufferWidth", "maxImageDimension2D",
+    "maxPerStageDescriptorInputAttachments", "maxPerStageDescriptorSampledImages", "maxPerStageDescriptorSamplers",
+    "maxPerStageDescriptorStorageImages", "maxPerStageResources", "maxVertexOutputComponents", "subPixelPrecisionBits",
     "subTexelPrecisionBits"};
 const char *const FORMAT_NAMES[FORMAT_COUNT] = {"R16G16B16A16_SFLOAT", "R16G16_SFLOAT", "R16_SFLOAT", "R32G32B32A32_SFLOAT",
     "R32G32B32A32_SINT", "R32G32_SFLOAT", "R32G32_SINT", "R32_SFLOAT", "R32_SINT"};
 const uint32_t FORMATS[FORMAT_COUNT] = {97, 83, 76, 109, 108, 103, 102, 100, 99};
-const char *const FEATURES[3] = {"sampled", "color", "filter"};
+const char *const FEATURES[FEATURE_COUNT] = {"sampled", "color", "filter", "storage"};
+
+bool of_compute(int limit) { return limit == 1 || limit == 2 || limit == 6 || limit == 16; }
+
+bool can_store(uint32_t format) { return format == 97 || format == 99 || format == 100 || format == 108 || format == 109; }
+
+uint32_t load_of(const Variant *v, const Stage *stage, uint32_t k) {
+    return (stage->compute < 0 ? v->passes[stage->pass].attachments : v->computes[stage->compute].outputs)[k].load;
+}
 
 const char *format_name(uint32_t format) {
     for (int k = 0; k < FORMAT_COUNT; k++)

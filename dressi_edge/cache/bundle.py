@@ -15,12 +15,14 @@ import msgpack
 
 from . import vulkan as v
 from .bundle_check import check_description, check_variants
+from .bundle_fields import show
 from .errors import BundleError
 from .files import read_regular, replace_file
 from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
-VERSION, SEVERAL, MORE = 1, 2, 3  # format versions: of a file with one variant, with several, with images of 16 bits or copies of states
+# format versions: of a file with one variant, with several, with images of 16 bits or copies of states, with compute
+VERSION, SEVERAL, MORE, COMPUTE = 1, 2, 3, 4
 HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
@@ -69,6 +71,8 @@ def combine(made: Sequence[tuple[dict, list[bytes]]]) -> tuple[dict, list[bytes]
     """The description and blobs of one file for several variants, best first. What more than one holds is there once."""
     numbers: dict[bytes, int] = {}
     variants = []
+    if any("computes" in d for d, _ in made):
+        made = [({"computes": [], **d}, blobs) for d, blobs in made]
     for d, blobs in made:
         at = {k: numbers.setdefault(blob, len(numbers)) for k, blob in enumerate(blobs)} | {None: None}
         variants.append({**d, "shaders": [at[k] for k in d["shaders"]],
@@ -79,6 +83,8 @@ def combine(made: Sequence[tuple[dict, list[bytes]]]) -> tuple[dict, list[bytes]
 
 def version_of(descriptions: Sequence[dict]) -> int:
     """The format version of a file with these variants."""
+    if any(d.get("computes") for d in descriptions):
+        return COMPUTE
     if any(image["format"] in v.HALF_FORMATS for d in descriptions for image in d["images"]) \
             or any(value["role"] == "copy" for d in descriptions for value in d["values"]):
         return MORE
@@ -86,7 +92,7 @@ def version_of(descriptions: Sequence[dict]) -> int:
 
 
 def dumps(description: dict, blobs: list[bytes], version: int | None = None) -> bytes:
-    """The file's bytes, of a version before 3 unless given. `description` (of one variant, or of
+    """The file's bytes, of version 1 or 2 unless given. `description` (of one variant, or of
     `combine`) lacks "blobs", which is made here."""
     entries, at = [], 0
     for blob in blobs:
@@ -151,8 +157,8 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
     magic, version, reserved, size, digest = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise BundleError("not a bundle: the file does not begin with DRESSI")
-    if version not in (VERSION, SEVERAL, MORE):
-        raise BundleError(f"format version {version}; this reader knows {VERSION} to {MORE}; compile the bundle again or update "
+    if version not in (VERSION, SEVERAL, MORE, COMPUTE):
+        raise BundleError(f"format version {version}; this reader knows {VERSION} to {COMPUTE}; compile the bundle again or update "
                           "dressi_edge")
     if reserved != 0:
         raise BundleError(f"reserved field is {reserved}; 0 is allowed")
@@ -170,7 +176,11 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
         raise
     except Exception as e:  # msgpack raises many kinds
         raise BundleError(f"the description is no msgpack: {type(e).__name__}") from None
-    several = version == SEVERAL or version == MORE and type(description) is dict and "variants" in description
+    several = version == SEVERAL or version >= MORE and type(description) is dict and "variants" in description
+    for k, d in enumerate(_variants(description) if several else [description]):
+        if type(d) is dict and (version >= COMPUTE) != ("computes" in d):
+            told = f"variants[{k}]: description" if several else "description"
+            raise BundleError(f"{told} {'lacks computes' if version >= COMPUTE else 'has the unknown key ' + show('computes')}")
     if several:
         descriptions = check_variants(description)
     else:
@@ -198,6 +208,11 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
             raise BundleError(f"variants[{k}]: {e}" if several else str(e)) from None
     found[0].after = tuple(found[1:])
     return found[0]
+
+
+def _variants(description) -> list:
+    found = description.get("variants") if type(description) is dict else None
+    return found if type(found) is list else []
 
 
 _LENGTHS = {0xc4: 1, 0xc5: 2, 0xc6: 4, 0xd9: 1, 0xda: 2, 0xdb: 4}  # bytes of the length of bin and str

@@ -26,6 +26,10 @@ NEEDS_LIMITS = ("maxImageDimension2D", "maxFramebufferWidth", "maxFramebufferHei
                 "maxPerStageDescriptorSamplers", "maxPerStageDescriptorSampledImages", "maxPerStageDescriptorInputAttachments",
                 "maxVertexOutputComponents", "maxFragmentInputComponents", "subPixelPrecisionBits", "subTexelPrecisionBits")
 NEEDS_FEATURES = ("sampled", "color", "filter")
+# what only a description with computes may name
+COMPUTE_LIMITS = ("maxPerStageDescriptorStorageImages", "maxDescriptorSetStorageImages", "maxComputeWorkGroupInvocations",
+                  "maxComputeSharedMemorySize")
+COMPUTE_FEATURES = ("storage",)
 
 
 def _meta(meta) -> None:
@@ -51,8 +55,9 @@ def _meta(meta) -> None:
 
 def check_description(d) -> None:
     """Raise BundleError unless the description is well formed."""
+    computes = type(d) is dict and "computes" in d
     a_map("description", d, ("meta", "profile", "needs", "depth_formats", "images", "samplers", "shaders", "passes", "pipelines",
-                            "values", "plans", "blobs"))
+                            *(["computes"] if computes else []), "values", "plans", "blobs"))
     _meta(d["meta"])
     a_map("profile", d["profile"], ("name", "digest"))
     for key in ("name", "digest"):
@@ -63,12 +68,12 @@ def check_description(d) -> None:
         number(f"blobs[{k}][1]", blob[1], 0, 1 << 40)
         if type(blob[2]) is not bytes or len(blob[2]) != 32:
             fail(f"blobs[{k}][2]", blob[2], "32 bytes are needed")
-    _needs(d["needs"])
+    _needs(d["needs"], computes)
     for k, f in enumerate(a_list("depth_formats", d["depth_formats"])):
         one_of(f"depth_formats[{k}]", f, tuple(v.DEPTH_FORMATS.values()))
     blobs = len(d["blobs"])
     for k, image in enumerate(a_list("images", d["images"], most=MAX_OBJECTS)):
-        _image(f"images[{k}]", image, blobs)
+        _image(f"images[{k}]", image, blobs, computes)
     for k, s in enumerate(a_list("samplers", d["samplers"], most=MAX_OBJECTS)):
         one_of(f"samplers[{k}]", s, (v.ADDRESS_REPEAT, v.ADDRESS_CLAMP))
     for k, s in enumerate(a_list("shaders", d["shaders"], most=MAX_OBJECTS)):
@@ -77,6 +82,8 @@ def check_description(d) -> None:
         _pass(f"passes[{k}]", p)
     for k, p in enumerate(a_list("pipelines", d["pipelines"], most=MAX_OBJECTS)):
         _pipeline(f"pipelines[{k}]", p, d)
+    for k, c in enumerate(a_list("computes", d["computes"], most=MAX_OBJECTS) if computes else ()):
+        _compute(f"computes[{k}]", c, d)
     names, images = set(), {}
     for k, value in enumerate(a_list("values", d["values"])):
         _value(f"values[{k}]", value, d)
@@ -129,29 +136,29 @@ def check_variants(d) -> list[dict]:
     return list(found.values())
 
 
-def _needs(needs) -> None:
+def _needs(needs, computes) -> None:
     a_map("needs", needs, ("limits", "formats"))
     if type(needs["limits"]) is not dict or type(needs["formats"]) is not dict:
         fail("needs", needs, "maps are needed")
     for name, x in needs["limits"].items():
-        if name not in NEEDS_LIMITS:
+        if name not in NEEDS_LIMITS and not (computes and name in COMPUTE_LIMITS):
             raise BundleError(f"needs.limits names {show(name)}, which this reader does not know")
         number(f"needs.limits.{name}", x, 0, 1 << 40)
     for name, features in needs["formats"].items():
         if name not in v.FORMATS:
             raise BundleError(f"needs.formats names {show(name)}, which this reader does not know")
         for k, f in enumerate(a_list(f"needs.formats.{name}", features)):
-            one_of(f"needs.formats.{name}[{k}]", f, NEEDS_FEATURES)
+            one_of(f"needs.formats.{name}[{k}]", f, NEEDS_FEATURES + (COMPUTE_FEATURES if computes else ()))
 
 
-def _image(where, image, blobs) -> None:
+def _image(where, image, blobs, computes) -> None:
     a_map(where, image, ("format", "width", "height", "slots", "usage", "data"))
     one_of(f"{where}.format", image["format"], (0, *v.FORMAT_NAMES))
     number(f"{where}.width", image["width"], 1, MAX_SIDE)
     number(f"{where}.height", image["height"], 1, MAX_SIDE)
     number(f"{where}.slots", image["slots"], 1, 2)
     allowed = v.USAGE_DEPTH if image["format"] == 0 else \
-        v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST | v.USAGE_SAMPLED | v.USAGE_COLOR | v.USAGE_INPUT
+        v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST | v.USAGE_SAMPLED | v.USAGE_COLOR | v.USAGE_INPUT | v.USAGE_STORAGE * computes
     if number(f"{where}.usage", image["usage"], 1, 255) & ~allowed:
         fail(f"{where}.usage", image["usage"], f"bits of {allowed} are allowed")
     if image["data"] is not None:
@@ -213,6 +220,26 @@ def _pipeline(where, p, d) -> None:
         one_of(f"{at}[1]", b[1], (v.STAGE_VERTEX, v.STAGE_FRAGMENT, v.STAGE_VERTEX | v.STAGE_FRAGMENT))
         sampler = b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER
         number(f"{at}[2]", b[2], 0 if sampler else -1, len(d["samplers"]) - 1 if sampler else -1)
+
+
+def _compute(where, c, d) -> None:
+    a_map(where, c, ("shader", "bindings", "outputs"))
+    number(f"{where}.shader", c["shader"], 0, len(d["shaders"]) - 1)
+    for k, b in enumerate(a_list(f"{where}.bindings", c["bindings"], most=MAX_PARTS)):
+        at = f"{where}.bindings[{k}]"
+        a_list(at, b, 2)
+        one_of(f"{at}[0]", b[0], (v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER, v.DESCRIPTOR_SAMPLED_IMAGE))
+        sampler = b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER
+        number(f"{at}[1]", b[1], 0 if sampler else -1, len(d["samplers"]) - 1 if sampler else -1)
+    if not a_list(f"{where}.outputs", c["outputs"], most=MAX_COLORS):
+        fail(f"{where}.outputs", [], "at least one is needed")
+    for k, o in enumerate(c["outputs"]):
+        at = f"{where}.outputs[{k}]"
+        a_map(at, o, ("format", "load", "clear"))
+        one_of(f"{at}.format", o["format"], tuple(sorted(v.STORABLE.values())))
+        number(f"{at}.load", o["load"], 0, 2)
+        integer = o["format"] in v.INTEGER_FORMATS
+        number(f"{at}.clear", o["clear"], -integer, +integer)
 
 
 def _value(where, value, d) -> None:

@@ -13,6 +13,7 @@ from .errors import BundleError
 
 MAX_SIDE = 1 << 16
 MAX_NEEDS = 16
+MAX_GROUPS = (1 << 31) - 1
 
 
 def check_plan(where, plan, kinds, d) -> None:
@@ -67,6 +68,9 @@ def _ref(where, ref, d) -> dict:
 
 
 def _stage(where, stage, d) -> None:
+    if "computes" in d and type(stage) is dict and "compute" in stage:
+        _dispatch(where, stage, d)
+        return
     a_map(where, stage, ("pass", "width", "height", "attachments", "wait", "subpasses"))
     layout = d["passes"][number(f"{where}.pass", stage["pass"], 0, len(d["passes"]) - 1)]
     number(f"{where}.width", stage["width"], 1, MAX_SIDE)
@@ -111,17 +115,63 @@ def _draw(where, draw, stage, subpass, attached, d) -> None:
             number(f"{at}[{j}]", x, 0 if j < 2 else 1, MAX_SIDE)
         if cell[0] + cell[2] > stage["width"] or cell[1] + cell[3] > stage["height"]:
             raise BundleError(f"{at} leaves the stage of {stage['width']} x {stage['height']}")
-    if number(f"{where}.count", draw["count"], -1, 2 * len(d["images"]) - 1) >= 0:
-        image = _ref(f"{where}.count", draw["count"], d)
-        if image["format"] != v.FORMATS["R32_SINT"] or not image["usage"] & v.USAGE_TRANSFER_SRC:
-            raise BundleError(f"{where}.count: image {draw['count'] // 2} is not R32_SINT with usage {v.USAGE_TRANSFER_SRC}")
-        if draw["count"] in attached:
-            raise BundleError(f"{where}.count: image {draw['count'] // 2} is written by the same stage")
-        if len(draw["cells"]) != 1:
-            fail(f"{where}.count", draw["count"], "-1, or a draw of one cell")
+    if _count(where, draw, attached, d) and len(draw["cells"]) != 1:
+        fail(f"{where}.count", draw["count"], "-1, or a draw of one cell")
     low_high = a_list(f"{where}.depth_range", draw["depth_range"], 2)
     if any(type(x) is not float or not 0 <= x <= 1 for x in low_high):
         fail(f"{where}.depth_range", low_high, "two floats from 0 to 1 are needed")
+
+
+def _count(where, x, written, d) -> bool:
+    """Whether an image says how much of a draw or dispatch there is to do."""
+    if number(f"{where}.count", x["count"], -1, 2 * len(d["images"]) - 1) < 0:
+        return False
+    image = _ref(f"{where}.count", x["count"], d)
+    if image["format"] != v.FORMATS["R32_SINT"] or not image["usage"] & v.USAGE_TRANSFER_SRC:
+        raise BundleError(f"{where}.count: image {x['count'] // 2} is not R32_SINT with usage {v.USAGE_TRANSFER_SRC}")
+    if x["count"] in written:
+        raise BundleError(f"{where}.count: image {x['count'] // 2} is written by the same stage")
+    return True
+
+
+def _dispatch(where, stage, d) -> None:
+    """A stage of compute."""
+    a_map(where, stage, ("compute", "groups", "images", "outputs", "count", "wait"))
+    compute = d["computes"][number(f"{where}.compute", stage["compute"], 0, len(d["computes"]) - 1)]
+    for k, x in enumerate(a_list(f"{where}.groups", stage["groups"], 3)):
+        number(f"{where}.groups[{k}]", x, 1, MAX_GROUPS)
+    if type(stage["wait"]) is not bool:
+        fail(f"{where}.wait", stage["wait"], "a boolean is needed")
+    a_list(f"{where}.outputs", stage["outputs"], len(compute["outputs"]))
+    for k, (ref, output) in enumerate(zip(stage["outputs"], compute["outputs"])):
+        image = _ref(f"{where}.outputs[{k}]", ref, d)
+        if image["format"] != output["format"] or not image["usage"] & v.USAGE_STORAGE:
+            raise BundleError(f"{where}.outputs[{k}]: image {ref // 2} of format {image['format']} and usage {image['usage']} does not "
+                              "fit the compute pipeline")
+    distinct(f"{where}.outputs", stage["outputs"])
+    a_list(f"{where}.images", stage["images"], len(compute["bindings"]))
+    for k, ref in enumerate(stage["images"]):
+        image = _ref(f"{where}.images[{k}]", ref, d)
+        if not image["usage"] & v.USAGE_SAMPLED:
+            raise BundleError(f"{where}.images[{k}]: image {ref // 2} lacks usage {v.USAGE_SAMPLED}")
+        if ref in stage["outputs"]:
+            raise BundleError(f"{where}.images[{k}]: image {ref // 2} is written by the same stage")
+    _count(where, stage, stage["outputs"], d)
+
+
+def written(stage) -> list[int]:
+    """The refs that a stage writes: its attachments, or its outputs."""
+    return stage["outputs"] if "compute" in stage else stage["attachments"]
+
+
+def bound(stage) -> list[int]:
+    """The refs of the images that its shaders read, in order."""
+    return stage["images"] if "compute" in stage else [ref for draws in stage["subpasses"] for draw in draws for ref in draw["images"]]
+
+
+def counts(stage) -> set[int]:
+    """The refs of the images that say how much there is to draw or dispatch."""
+    return {x["count"] for x in ([stage] if "compute" in stage else (draw for draws in stage["subpasses"] for draw in draws))} - {-1}
 
 
 def check_copies(d, kinds) -> None:
@@ -161,17 +211,19 @@ def check_dataflow(d, kinds) -> None:
         owned |= {2 * d["values"][x]["image"] for x in plan["outputs"]}
         fixed = given - owned  # a leave attaches the current slot
         for j, stage in enumerate(plan["stages"]):
-            where, attached = f"plans[{k}].stages[{j}]", set(stage["attachments"])
-            for n, ref in enumerate(stage["attachments"]):
+            where, attached = f"plans[{k}].stages[{j}]", set(written(stage))
+            key, how = ("outputs", d["computes"][stage["compute"]]["outputs"]) if "compute" in stage else \
+                ("attachments", d["passes"][stage["pass"]]["attachments"])
+            for n, ref in enumerate(written(stage)):
                 if ref in fixed or ref // 2 in value_of and ref not in owned:
-                    raise BundleError(f"{where}.attachments[{n}]: image {ref // 2} is not for this plan to write")
-                if leave and ref in owned and d["passes"][stage["pass"]]["attachments"][n]["load"] != v.LOAD_LOAD:
-                    raise BundleError(f"{where}.attachments[{n}]: what comes after an enter loads the states that it updates")
-            counts = {draw["count"] for draws in stage["subpasses"] for draw in draws} - {-1}
-            if from_outside := counts & given:
+                    raise BundleError(f"{where}.{key}[{n}]: image {ref // 2} is not for this plan to write")
+                if leave and ref in owned and how[n]["load"] != v.LOAD_LOAD:
+                    raise BundleError(f"{where}.{key}[{n}]: what comes after an enter loads the states that it updates")
+            counted = counts(stage)
+            if from_outside := counted & given:
                 raise BundleError(f"{where} draws as often as image {min(from_outside) // 2} says, which is given from outside; what a "
                                   "stage makes is allowed")
-            sampled = {ref for draws in stage["subpasses"] for draw in draws for ref in draw["images"]} - attached | counts
+            sampled = set(bound(stage)) - attached | counted
             for ref in sorted(sampled):
                 if ref in fixed:
                     if ref // 2 in value_of and value_of[ref // 2] not in reads:

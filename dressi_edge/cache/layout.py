@@ -69,19 +69,22 @@ class Layout:
                 "atlas": (self.count, self.height, self.width)}[self.kind]
         return body if c == 1 else (*body, c)
 
-    def to_image(self, array, name: str, half: bool = False) -> np.ndarray:
-        """(height, width, channels) of the user's array, float64 or int64; `half`: rounded to fp16. Raises InputError."""
+    def checked(self, array, name: str, half: bool = False) -> np.ndarray:
+        """The user's array as numbers that the device can have: float32 where they are that already, else float64, or integers; `half`:
+        rounded to fp16. Raises InputError."""
         array = np.asarray(array)
         if array.shape not in (self.shape, (*self.shape, 1) if CHANNELS[self.vtype] == 1 else self.shape):
             raise InputError(f"{name} has shape {array.shape}; {self.shape} is needed")
         if array.dtype.kind not in ("biu" if is_int(self.vtype) else "biuf"):
             raise InputError(f"{name} has type {array.dtype}; {'integers are' if is_int(self.vtype) else 'numbers are'} needed")
-        if is_int(self.vtype) and array.size and not -2 ** 31 <= int(array.min()) <= int(array.max()) < 2 ** 31:
-            raise InputError(f"{name} has values beyond the range of int32")
-        array = array.astype(np.int64 if is_int(self.vtype) else np.float64)
-        if not is_int(self.vtype) and not np.isfinite(array).all():
+        if is_int(self.vtype):
+            if array.size and not -2 ** 31 <= int(array.min()) <= int(array.max()) < 2 ** 31:
+                raise InputError(f"{name} has values beyond the range of int32")
+            return array
+        array = array if array.dtype == np.float32 else array.astype(np.float64)
+        if not np.isfinite(array).all():
             raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are NaN or Inf; finite numbers are needed")
-        if not is_int(self.vtype) and (bad := beyond_fp32(array)).any():
+        if array.dtype != np.float32 and (bad := beyond_fp32(array)).any():
             at = tuple(int(i) for i in np.argwhere(bad)[0])
             raise InputError(f"{name}{list(at) if at else ''} is {array[at]:g}, beyond the range of fp32; at most 3.4e38 is allowed")
         if half:
@@ -90,25 +93,53 @@ class Layout:
                 at = tuple(int(i) for i in np.argwhere(bad)[0])
                 raise InputError(f"{name}{list(at) if at else ''} is {given[at]:g}, beyond the range of fp16 in which it is stored; at "
                                  "most 65504 is allowed, more with storage float")
-        c, (width, height) = CHANNELS[self.vtype], self.size
-        if self.kind == "table":
-            padded = np.zeros((width * height, c), array.dtype)
-            padded[:self.count] = array.reshape(self.count, c)
-            return padded.reshape(height, width, c)
-        if self.kind == "atlas":
-            rows = height // self.height
-            cells = np.zeros((rows * self.columns, self.height, self.width, c), array.dtype)
-            cells[:self.count] = array.reshape(self.count, self.height, self.width, c)
-            return cells.reshape(rows, self.columns, self.height, self.width, c).swapaxes(1, 2).reshape(height, width, c)
-        return array.reshape(height, width, c)
+        return array
 
-    def from_image(self, pixels: np.ndarray) -> np.ndarray:
-        """The user's array of (height, width, channels)."""
+    def to_image(self, array, name: str, half: bool = False) -> np.ndarray:
+        """(height, width, channels) of the user's array, float64 or int64; `half`: rounded to fp16. Raises InputError."""
+        array, (width, height) = self.checked(array, name, half), self.size
+        pixels = np.empty((height, width, CHANNELS[self.vtype]), np.int64 if is_int(self.vtype) else np.float64)
+        self.fill(pixels, array)
+        return pixels
+
+    def fill(self, pixels: np.ndarray, array: np.ndarray) -> None:
+        """Write a `checked` array into an image (height, width, channels or more) that is one piece of memory, zeros where the array has
+        nothing. One pass, for this is how every step of a loop of the caller's own begins."""
+        c = CHANNELS[self.vtype]
+        pixels[..., c:] = 0
+        if self.kind == "table":
+            flat = pixels.reshape(-1, pixels.shape[2])
+            flat[:self.count, :c] = array.reshape(self.count, c)
+            flat[self.count:] = 0
+        elif self.kind == "atlas":
+            array, last = array.reshape(self.count, self.height, self.width, c), self.count % self.columns
+            cells = self._cells(pixels)[..., :c]
+            for row, first in zip(cells, range(0, self.count, self.columns)):
+                row[:self.count - first] = array[first:first + self.columns]
+            if last:
+                cells[-1, last:] = 0
+        else:
+            pixels[..., :c] = array.reshape(*pixels.shape[:2], c)
+
+    def take(self, pixels: np.ndarray, out: np.ndarray) -> None:
+        """Write an image (height, width, channels or more) into an array of the user's shape, in one pass."""
         c = CHANNELS[self.vtype]
         if self.kind == "table":
-            return pixels.reshape(-1, c)[:self.count].reshape(self.shape)
-        if self.kind == "atlas":
-            rows = pixels.shape[0] // self.height
-            cells = pixels.reshape(rows, self.height, self.columns, self.width, c).swapaxes(1, 2)
-            return cells.reshape(-1, self.height, self.width, c)[:self.count].reshape(self.shape)
-        return pixels.reshape(self.shape)
+            out.reshape(self.count, c)[...] = pixels.reshape(-1, pixels.shape[2])[:self.count, :c]
+        elif self.kind == "atlas":
+            flat = out.reshape(self.count, self.height, self.width, c)
+            for row, first in zip(self._cells(pixels), range(0, self.count, self.columns)):
+                flat[first:first + self.columns] = row[:self.count - first, ..., :c]
+        else:
+            out.reshape(*pixels.shape[:2], c)[...] = pixels[..., :c]
+
+    def from_image(self, pixels: np.ndarray) -> np.ndarray:
+        """The user's array of (height, width, channels), a new one."""
+        out = np.empty(self.shape, pixels.dtype)
+        self.take(pixels, out)
+        return out
+
+    def _cells(self, pixels: np.ndarray) -> np.ndarray:
+        """An image of an atlas as (rows, columns, height, width, channels)."""
+        rows, channels = pixels.shape[0] // self.height, pixels.shape[2]
+        return pixels.reshape(rows, self.height, self.columns, self.width, channels).swapaxes(1, 2)

@@ -60,6 +60,9 @@ LIMITS = {
     "nonCoherentAtomSize": ("min", 256),
     "timestampComputeAndGraphics": ("flag", False),
 }
+# What is dispatched to compute shaders instead of drawn, each with all before it: nothing, ops that share memory, pixelwise work of which
+# nothing is left undrawn, and that of which tiles or the end of a list are.
+COMPUTE = ("none", "ops", "pixel", "all")
 RESOURCES = ("maxPerStageDescriptorUniformBuffers", "maxPerStageDescriptorStorageBuffers", "maxPerStageDescriptorSampledImages",
              "maxPerStageDescriptorStorageImages", "maxPerStageDescriptorInputAttachments", "maxColorAttachments")
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from .errors import ProfileError
 from .limits import (
+    COMPUTE,
     FEATURES,
     FORMAT_FEATURES,
     FORMATS,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:  # files, JSON and suggestions are imported where they are use
     from pathlib import Path
 
 STATUS = ("measured", "specified", "assumed")  # best first
-BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "prefer_fp16", "sources")
+BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "prefer_fp16", "compute", "sources")
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class Profile:
     """What a device allows. `limits`, `features` and `formats` hold only what is stated; ask `limit`, `feature` and
     `format_has` for the value in force. `tile_bits`: colour bits a pixel that fit in tile memory; `max_merged_attachments`:
     attachments over merged subpasses; `max_live`: 32-bit numbers that a shader may hold at once before its compiler spills them;
-    None means no such rule is known."""
+    None means no such rule is known. `compute`: what is best dispatched, not drawn, one of
+    `limits.COMPUTE`."""
 
     name: str
     description: str = ""
@@ -56,6 +58,7 @@ class Profile:
     max_merged_attachments: int | None = None
     max_live: int | None = None
     prefer_fp16: bool = False
+    compute: str = "none"
     sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     api_version: str = "1.0.0"
     date: str = "1970-01-01"
@@ -181,6 +184,7 @@ def canonical(profile: Profile) -> dict:
         "max_merged_attachments": profile.max_merged_attachments,
         **({} if profile.max_live is None else {"max_live": profile.max_live}),
         "prefer_fp16": profile.prefer_fp16,
+        **({} if profile.compute == "none" else {"compute": profile.compute}),
     }
 
 
@@ -211,6 +215,7 @@ def merge(profiles: Iterable[Profile], name: str) -> Profile:
             (p.max_merged_attachments for p in members if p.max_merged_attachments is not None), default=None),
         max_live=min((p.max_live for p in members if p.max_live is not None), default=None),
         prefer_fp16=all(p.prefer_fp16 for p in members),
+        compute=min((p.compute for p in members), key=COMPUTE.index),
         sources=sources | {"*": {"source": f"merged from {names}", "status": worst}},
         api_version=min((p.api_version for p in members), key=lambda v: tuple(map(int, v.split(".")))),
         date=max(p.date for p in members))

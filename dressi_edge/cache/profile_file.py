@@ -9,7 +9,7 @@ import re
 
 from .errors import ProfileError
 from .files import read_regular
-from .limits import FEATURES, FORMAT_FEATURES, FORMATS, FROM_VK, LIMITS, an_object, limit_value, nearest, number, show, typed
+from .limits import COMPUTE, FEATURES, FORMAT_FEATURES, FORMATS, FROM_VK, LIMITS, an_object, limit_value, nearest, number, show, typed
 from .profile import BLOCK, STATUS, Profile, from_device
 
 SCHEMA = "https://schema.khronos.org/vulkan/profiles-0.8-latest.json#"
@@ -107,6 +107,10 @@ def _own(block, where: str) -> dict:
             out[k] = None if v is None else number(v, at, 1)
         elif k == "prefer_fp16":
             out[k] = typed(v, bool, at)
+        elif k == "compute":
+            if (word := typed(v, str, at)) not in COMPUTE:
+                raise ProfileError(f"{at}: must be one of {' '.join(COMPUTE)}, found {show(word)}")
+            out[k] = word
         elif k == "description":
             out[k] = typed(v, str, at)
         else:
@@ -141,7 +145,8 @@ def to_json(profile: Profile) -> str:
         capability["formats"] = {f"VK_FORMAT_{k}": {"VkFormatProperties": {
             "linearTilingFeatures": [], "optimalTilingFeatures": sorted(FORMAT_FEATURES[f] for f in v), "bufferFeatures": []}}
             for k, v in profile.formats.items()}
-    own = {k: getattr(profile, k) for k in BLOCK[:-1]} | {"sources": {k: dict(v) for k, v in profile.sources.items()}}
+    own = {k: getattr(profile, k) for k in BLOCK[:-1] if k != "compute" or profile.compute != "none"}
+    own["sources"] = {k: dict(v) for k, v in profile.sources.items()}
     about = {"version": 1, "api-version": profile.api_version, "label": profile.name, "description": profile.description,
              "contributors": {}, "history": [{"revision": 1, "date": profile.date, "author": "dressi_edge", "comment": ""}],
              "capabilities": [profile.name]}

@@ -10,9 +10,9 @@ from . import vulkan as v
 from .errors import BundleError
 from .spirv_interface import Interface, parse
 
-STAGE_NAMES = {v.STAGE_VERTEX: "vertex", v.STAGE_FRAGMENT: "fragment"}
+STAGE_NAMES = {v.STAGE_VERTEX: "vertex", v.STAGE_FRAGMENT: "fragment", v.STAGE_COMPUTE: "compute"}
 KIND_NAMES = {v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER: "combined image sampler", v.DESCRIPTOR_SAMPLED_IMAGE: "sampled image",
-              v.DESCRIPTOR_INPUT_ATTACHMENT: "input attachment"}
+              v.DESCRIPTOR_INPUT_ATTACHMENT: "input attachment", v.DESCRIPTOR_STORAGE_IMAGE: "storage image"}
 
 
 def check_shaders(d: dict, blob) -> list[Interface]:
@@ -24,11 +24,19 @@ def check_shaders(d: dict, blob) -> list[Interface]:
         if number not in parsed:
             parsed[number] = parse(blob(number), f"shaders[{k}]")
         interfaces.append(parsed[number])
+        if parsed[number].stage == v.STAGE_COMPUTE and "computes" not in d:
+            raise BundleError(f"shaders[{k}] is for the compute stage, of which this version of the format has none")
     integer: list[list[bool | None]] = []
     for k, p in enumerate(d["pipelines"]):
         integer.append(_check_pipeline(f"pipelines[{k}]", p, d, interfaces))
+    computed = [_check_compute(f"computes[{k}]", c, interfaces) for k, c in enumerate(d.get("computes", ()))]
     for n, plan in enumerate(d["plans"]):
         for k, stage in enumerate(plan["stages"]):
+            if "compute" in stage:
+                kinds = [kind for kind, _ in d["computes"][stage["compute"]]["bindings"]]
+                for j, (ref, kind, wanted) in enumerate(zip(stage["images"], kinds, computed[stage["compute"]])):
+                    _check_image(f"plans[{n}].stages[{k}].images[{j}]: image {ref // 2}", d["images"][ref // 2]["format"], kind, wanted)
+                continue
             for j, draws in enumerate(stage["subpasses"]):
                 inputs = d["passes"][stage["pass"]]["subpasses"][j]["inputs"]
                 for i, draw in enumerate(draws):
@@ -79,6 +87,29 @@ def _check_pipeline(where: str, p: dict, d: dict, interfaces: list[Interface]) -
     return integer
 
 
+def _check_compute(where: str, c: dict, interfaces: list[Interface]) -> list[bool | None]:
+    """For each image that is read whether the shader reads integers from it (None: it does not use it)."""
+    shader, bindings = interfaces[c["shader"]], c["bindings"]
+    if shader.stage != v.STAGE_COMPUTE:
+        raise BundleError(f"{where}.shader: shader {c['shader']} is for the {STAGE_NAMES[shader.stage]} stage")
+    integer: list[bool | None] = [None] * len(bindings)
+    wanted = {len(bindings) + k: o["format"] for k, o in enumerate(c["outputs"])}
+    for number, (kind, is_integer, image_format) in shader.bindings.items():
+        if number >= len(bindings) + len(wanted):
+            raise BundleError(f"{where}.shader: the shader uses binding {number}; the pipeline has {len(bindings) + len(wanted)}")
+        found = v.DESCRIPTOR_STORAGE_IMAGE if number in wanted else bindings[number][0]
+        if found != kind:
+            raise BundleError(f"{where}: binding {number} is a {KIND_NAMES[found]}; the shader uses a {KIND_NAMES[kind]}")
+        if number not in wanted:
+            integer[number] = is_integer
+        elif image_format != wanted[number]:
+            raise BundleError(f"{where}.outputs[{number - len(bindings)}].format is {wanted[number]}; the shader writes format "
+                              f"{image_format}")
+    if missing := wanted.keys() - shader.bindings.keys():
+        raise BundleError(f"{where}.outputs[{min(missing) - len(bindings)}]: the shader has no storage image at binding {min(missing)}")
+    return integer
+
+
 def _words(x) -> str:
     return f"{x[0]} x {x[1]}" if x else "nothing"
 
@@ -99,9 +130,22 @@ def _check_draw(where: str, draw: dict, attached: list[int], inputs: list[int], 
     shader = interfaces[p["fragment"]]
     for k, (ref, binding, wanted) in enumerate(zip(draw["images"], p["bindings"], integer)):
         at, image_format = f"{where}.images[{k}]: image {ref // 2}", d["images"][ref // 2]["format"]
-        if image_format == 0 or wanted is not None and wanted != (image_format in v.INTEGER_FORMATS):
-            raise BundleError(f"{at} has format {image_format}; the shader reads {'integers' if wanted else 'floats'}")
+        _check_numbers(at, image_format, wanted)
         if binding[0] == v.DESCRIPTOR_INPUT_ATTACHMENT and ref != attached[inputs[shader.bindings[k][2]]]:
             raise BundleError(f"{at} is not input attachment {shader.bindings[k][2]} of the subpass")
-        if binding[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER and image_format in v.INTEGER_FORMATS:
-            raise BundleError(f"{at} holds integers, which no sampler filters")
+        _check_filter(at, image_format, binding[0])
+
+
+def _check_image(at: str, image_format: int, kind: int, wanted: bool | None) -> None:
+    _check_numbers(at, image_format, wanted)
+    _check_filter(at, image_format, kind)
+
+
+def _check_numbers(at: str, image_format: int, wanted: bool | None) -> None:
+    if image_format == 0 or wanted is not None and wanted != (image_format in v.INTEGER_FORMATS):
+        raise BundleError(f"{at} has format {image_format}; the shader reads {'integers' if wanted else 'floats'}")
+
+
+def _check_filter(at: str, image_format: int, kind: int) -> None:
+    if kind == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER and image_format in v.INTEGER_FORMATS:
+        raise BundleError(f"{at} holds integers, which no sampler filters")

@@ -9,8 +9,9 @@ from __future__ import annotations
 from functools import partial
 
 from .spirv_flow import LOOP, SELECT, SWITCH, Block, Flow
-from .spirv_module import FUNCTION, INPUT, UNIFORM_CONSTANT, Module, Type
+from .spirv_module import FUNCTION, IMAGE, INPUT, UNIFORM_CONSTANT, Module, Type
 from .spirv_numbers import extended, row
+from .spirv_shared import SHARED
 from .spirv_table import DERIVATIVE_CONTROL, ROWS
 from .spirv_values import FRAGMENT, VALUES
 
@@ -61,10 +62,10 @@ class Body:
             self.f.uses.add((self.block, made))
         return found
 
-    def pointer(self, x: int, at: int) -> Type:
-        """The type of a value that points."""
+    def pointer(self, x: int, at: int, also: int | None = None) -> Type:
+        """The type of a value that points; to a texel (`IMAGE`) only if asked for."""
         found = self.m.types[self.value(x, at)]
-        if found.kind != "pointer":
+        if found.kind != "pointer" or found.storage == IMAGE != also:
             self.m.wrong(at, f"id {x} is no pointer")
         self.m.touched.add(x)
         return found
@@ -127,7 +128,7 @@ class Body:
 
     def _handlers(self) -> dict:
         """Opcode -> what reads an instruction in a block."""
-        found = dict.fromkeys(ROWS, partial(row, self)) | {op: partial(read, self) for op, read in VALUES.items()}
+        found = dict.fromkeys(ROWS, partial(row, self)) | {op: partial(read, self) for op, read in (VALUES | SHARED).items()}
         found |= dict.fromkeys(ENDS, self._end) | dict.fromkeys(LINES, lambda ops, at: None)
         return found | {12: partial(extended, self), 57: self._call, 61: self._load, 62: self._store, VARIABLE: self._variable,
                         PHI: self._phi, LOOP_MERGE: self._merge, SELECTION_MERGE: self._merge}

@@ -3,7 +3,7 @@
 In: the bytes of a module. Out: its `Interface`, or a BundleError and nothing else. Takes n log n for n bytes.
 
 Modules are held to what a player needs, and to what drivers may take for granted: SPIR-V 1.0, the opcodes, capabilities and storage
-classes of vertex and fragment shaders that touch nothing but descriptors, varyings and their own variables; types, constants and
+classes of vertex, fragment and compute shaders that touch nothing but descriptors, varyings and their own variables; types, constants and
 variables of bounded size (`spirv_types.py`); every instruction of the right types, in structured control flow (`spirv_body.py`,
 `spirv_flow.py`); one entry point `main`. What passes, spirv-val passes too (`tests/test_spirv.py` holds the two together). That a shader
 ends is not promised. Numbers are those of the SPIR-V specification, version 1.6, chapter 3.
@@ -16,27 +16,31 @@ from dataclasses import dataclass, field
 
 from . import vulkan as v
 from .spirv_body import Body
-from .spirv_module import INPUT, OUTPUT, PRIVATE, UNIFORM_CONSTANT, Module, Type
+from .spirv_module import INPUT, OUTPUT, PRIVATE, UNIFORM_CONSTANT, WORKGROUP, Module, Type
 from .spirv_types import CONSTANTS, LENGTHS, declare_constant, declare_type
 
 MAX_LOCATIONS = 64  # more than any known device has
 MAX_KNOWN = 1024
-MODELS = {0: v.STAGE_VERTEX, 4: v.STAGE_FRAGMENT}
+MODELS = {0: v.STAGE_VERTEX, 4: v.STAGE_FRAGMENT, 5: v.STAGE_COMPUTE}
 CAPABILITIES = frozenset({0, 1, 40, 50, 51})  # Matrix Shader InputAttachment ImageQuery DerivativeControl: need no feature
 SHADER, INPUT_ATTACHMENT = 1, 40
 # EarlyFragmentTests OriginUpperLeft DepthReplacing -Greater -Less -Unchanged
 MODES = frozenset({7, 9, 12, 14, 15, 16})
-ORIGIN, REPLACES_DEPTH, DEPTHS = 7, 12, frozenset({14, 15, 16})
-BLOCK, FLAT, BUILTIN, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT = 2, 14, 11, 30, 31, 32, 33, 34, 43
+ORIGIN, REPLACES_DEPTH, LOCAL_SIZE, DEPTHS = 7, 12, 17, frozenset({14, 15, 16})
+MAX_INVOCATIONS = 1 << 16  # of a workgroup; devices allow far less
+BLOCK, FLAT, BUILTIN, NON_READABLE, LOCATION, COMPONENT, INDEX, BINDING, SET, ATTACHMENT = 2, 14, 11, 25, 30, 31, 32, 33, 34, 43
 NUMBERED = frozenset({BUILTIN, LOCATION, BINDING, SET, ATTACHMENT})  # decorations with a number, once
-PLAIN = frozenset({0, BLOCK, 13, FLAT, 16, 18, 42})  # RelaxedPrecision Block NoPerspective Flat Centroid Invariant NoContraction
+# RelaxedPrecision Block NoPerspective Flat Centroid Invariant NonReadable NoContraction
+PLAIN = frozenset({0, BLOCK, 13, FLAT, 16, 18, NON_READABLE, 42})
 FREE = frozenset({0, 42})  # of results of instructions, too
 INTERPOLATED = frozenset({13, FLAT, 16})
 MARKS_OF_IMAGES, MARKS_OF_VARYINGS = frozenset({BINDING, SET, ATTACHMENT}), frozenset({BUILTIN, LOCATION, 18}) | INTERPOLATED
 # Built-ins, by stage and storage class: number -> the letter and count of its type. Clip and cull distances (3, 4) need features, and are
 # members that no shader touches.
 BUILTINS = {(v.STAGE_VERTEX, INPUT): {42: "i1", 43: "i1"}, (v.STAGE_VERTEX, OUTPUT): {0: "f4", 1: "f1"},
-            (v.STAGE_FRAGMENT, INPUT): {15: "f4", 16: "f2", 17: "b1"}, (v.STAGE_FRAGMENT, OUTPUT): {22: "f1"}}
+            (v.STAGE_FRAGMENT, INPUT): {15: "f4", 16: "f2", 17: "b1"}, (v.STAGE_FRAGMENT, OUTPUT): {22: "f1"},
+            (v.STAGE_COMPUTE, INPUT): {24: "u3", 26: "u3", 27: "u3", 28: "u3", 29: "u1"}, (v.STAGE_COMPUTE, OUTPUT): {}}
+WORKGROUP_SIZE = 25  # a built-in that is a constant: what the execution mode LocalSize says
 PER_VERTEX = {0: "f4", 1: "f1", 3: "array", 4: "array"}
 POINT_SIZE, FRAG_DEPTH, CLOSED = 1, 22, frozenset({3, 4})
 NAMES, LINES = frozenset({5, 6}), frozenset({8, 317})
@@ -47,9 +51,10 @@ TYPES = 9
 
 @dataclass(frozen=True)
 class Interface:
-    """`bindings`: number -> (descriptor kind, reads integers, input attachment index or -1). `inputs`, `outputs`: location ->
-    (float int uint, components). `input_components`, `output_components`: whole locations and the built-ins.
-    `point_size`: a vertex shader that writes the size of points."""
+    """`bindings`: number -> (descriptor kind, reads integers, input attachment index or -1; of a storage image its VkFormat). `inputs`,
+    `outputs`: location -> (float int uint, components). `input_components`, `output_components`: whole locations and the built-ins.
+    `point_size`: a vertex shader that writes the size of points. Of a compute shader: `local_size`, the invocations of a workgroup
+    along x, y, z, and `shared_bytes`, what they share at most."""
 
     stage: int
     bindings: dict[int, tuple[int, bool, int]] = field(default_factory=dict)
@@ -58,6 +63,8 @@ class Interface:
     input_components: int = 0
     output_components: int = 0
     point_size: bool = False
+    local_size: tuple[int, int, int] = (0, 0, 0)
+    shared_bytes: int = 0
 
 
 _KNOWN: dict[bytes, Interface] = {}
@@ -87,7 +94,7 @@ class _Declarations:
         self.named: dict[int, int] = {}  # what annotations speak of, and where
         self.moded: dict[int, int] = {}  # what execution modes speak of, and where
         self.seen: set[tuple] = set()
-        self.models = 0
+        self.models, self.local_size = 0, (0, 0, 0)
         body, at = Body(m), self._all()
         if not m.stage:
             m.fail("has no entry point")
@@ -98,7 +105,7 @@ class _Declarations:
             if x not in m.defined:
                 m.wrong(at, f"speaks of id {x}, which nothing defines")
         for x, at in self.moded.items():
-            if x != m.entry or m.stage != v.STAGE_FRAGMENT:
+            if x != m.entry or m.stage != v.STAGE_FRAGMENT and self.modes != {LOCAL_SIZE}:
                 m.wrong(at, "an execution mode of what is no fragment shader")
 
     def _all(self) -> int:
@@ -174,7 +181,7 @@ class _Declarations:
         if m.stage:
             m.wrong(at, "a second entry point")
         if ops[0] not in MODELS:
-            m.wrong(at, f"execution model {ops[0]}; vertex (0) and fragment (4) are allowed")
+            m.wrong(at, f"execution model {ops[0]}; vertex (0), fragment (4) and compute (5) are allowed")
         if ops[2:4] != struct.unpack("<2I", b"main\0\0\0\0"):
             m.wrong(at, "the entry point must be called main")
         for x in (ops[1], *ops[4:]):
@@ -185,9 +192,14 @@ class _Declarations:
 
     def _mode(self, ops: tuple, at: int) -> None:
         m = self.m
-        m.operands(ops, 2, at, 2)
+        local = len(ops) > 1 and ops[1] == LOCAL_SIZE and m.stage == v.STAGE_COMPUTE
+        m.operands(ops, 2 + 3 * local, at, 2 + 3 * local)
         self.moded.setdefault(m.id(ops[0], at), at)
-        if ops[1] not in MODES:
+        if local:
+            x, y, z = self.local_size = ops[2:]
+            if not 0 < x * y * z <= MAX_INVOCATIONS:
+                m.wrong(at, f"workgroups of {x} x {y} x {z} invocations; 1 to {MAX_INVOCATIONS} are allowed")
+        elif ops[1] not in MODES:
             m.wrong(at, f"execution mode {ops[1]} is not allowed")
         if ops[1] in self.modes or ops[1] in DEPTHS and self.modes & DEPTHS:
             m.wrong(at, f"execution mode {ops[1]} is given twice, or with another of the kind")
@@ -199,8 +211,8 @@ class _Declarations:
         pointer = m.type(ops[0], at)
         if pointer.kind != "pointer" or pointer.storage != ops[2]:
             m.wrong(at, "a variable whose type is no pointer to its storage class")
-        if ops[2] not in (UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE):
-            m.wrong(at, f"a variable of storage class {ops[2]}; images, inputs, outputs and private ones are allowed")
+        if ops[2] not in (UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE, WORKGROUP):
+            m.wrong(at, f"a variable of storage class {ops[2]}; images, inputs, outputs, private and shared ones are allowed")
         if len(ops) == 4 and (ops[2] not in (OUTPUT, PRIVATE) or ops[3] not in m.fixed or m.values[ops[3]] != pointer.of):
             m.wrong(at, "a variable that begins with what is no constant of its type, or may not")
         m.weigh(m.types[pointer.of], at)
@@ -233,11 +245,15 @@ class _Declarations:
         m, stage = self.m, self.m.stage
         if stage == v.STAGE_FRAGMENT and ORIGIN not in self.modes:
             m.fail("is a fragment shader without OriginUpperLeft")
+        if stage == v.STAGE_COMPUTE and self.modes != {LOCAL_SIZE}:
+            m.fail("is a compute shader without LocalSize, or with another mode")
         storages = {x: storage for x, storage, _ in m.variables}
         for x in sorted(m.listed):
             if storages.get(x) not in (INPUT, OUTPUT):
                 m.fail(f"has an entry point that names id {x}, which is no input or output")
         for x, marks in self.decorations.items():
+            if marks == {BUILTIN: WORKGROUP_SIZE} and self._says_size(x):
+                continue
             if BLOCK in marks and (x not in m.types or m.types[x].kind != "struct") or marks.keys() - FREE - {BLOCK} and x not in storages:
                 m.fail(f"id {x}: a decoration of what it does not go with")
         bindings: dict[int, tuple[int, bool, int]] = {}
@@ -247,11 +263,14 @@ class _Declarations:
             marks, kind = self.decorations.get(x, {}), m.types[pointee]
             if x in m.touched and storage in sides and x not in m.listed:
                 m.fail(f"id {x}: an input or output that is used and not named by the entry point")
-            if marks.keys() - FREE - (MARKS_OF_IMAGES if storage == UNIFORM_CONSTANT else MARKS_OF_VARYINGS if storage in sides else set()):
+            of_class = MARKS_OF_IMAGES if storage == UNIFORM_CONSTANT else MARKS_OF_VARYINGS if storage in sides else set()
+            if marks.keys() - FREE - (of_class | {NON_READABLE} if kind.format else of_class):
                 m.fail(f"id {x}: a decoration that variables of its storage class have not")
             if storage == UNIFORM_CONSTANT:
                 self._bind(x, marks, kind, bindings)
             elif storage in sides:
+                if stage == v.STAGE_COMPUTE and BUILTIN not in marks:
+                    m.fail(f"id {x}: an input or output of a compute shader that is no built-in")
                 found = self._built_in(x, storage, marks, pointee)
                 if found and found & built_in:
                     m.fail(f"id {x}: a built-in that there is already")
@@ -263,9 +282,16 @@ class _Declarations:
         if stage == v.STAGE_VERTEX and sides[INPUT]:
             m.fail("takes vertex attributes; a bundle has none")
         count = {side: 4 * (max(sides[side], default=-1) + 1) + extra[side] for side in sides}
+        shared = sum(_bytes(m, pointee) for _, storage, pointee in m.variables if storage == WORKGROUP)
         return Interface(stage, bindings, sides[INPUT], sides[OUTPUT], count[INPUT], count[OUTPUT], any(
             self.members.get(x, {}).get(k) == POINT_SIZE for x, k in m.reached) or any(
-            self.decorations.get(x, {}).get(BUILTIN) == POINT_SIZE for x in m.touched))
+            self.decorations.get(x, {}).get(BUILTIN) == POINT_SIZE for x in m.touched), self.local_size, shared)
+
+    def _says_size(self, x: int) -> bool:
+        """Whether it is the constant of the size of a workgroup, and says what the execution mode does."""
+        m = self.m
+        return m.stage == v.STAGE_COMPUTE and x in m.composites and _is(m, m.values[x], "u3") \
+            and tuple(m.integers.get(part, -1) for part in m.composites[x]) == self.local_size
 
     def _built_in(self, x: int, storage: int, marks: dict, pointee: int) -> set[tuple[int, int]]:
         """The built-ins that a variable stands for, as (storage class, number); none for those with a location."""
@@ -297,8 +323,9 @@ class _Declarations:
         if kind.attachment != (ATTACHMENT in marks) or kind.attachment and m.stage != v.STAGE_FRAGMENT:
             m.fail(f"binding {number}: an input attachment, and nothing else, needs an index, in a fragment shader")
         what = (v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER if kind.kind == "sampled" else
-                v.DESCRIPTOR_INPUT_ATTACHMENT if kind.attachment else v.DESCRIPTOR_SAMPLED_IMAGE)
-        bindings[number] = what, kind.integer, marks[ATTACHMENT] if kind.attachment else -1
+                v.DESCRIPTOR_INPUT_ATTACHMENT if kind.attachment else v.DESCRIPTOR_STORAGE_IMAGE if kind.format else
+                v.DESCRIPTOR_SAMPLED_IMAGE)
+        bindings[number] = what, kind.integer, marks[ATTACHMENT] if kind.attachment else kind.format or -1
 
     def _locate(self, x: int, marks: dict, kind: Type, side: dict, where: tuple[int, int]) -> None:
         m, at = self.m, marks.get(LOCATION)
@@ -321,3 +348,11 @@ def _is(m: Module, x: int, want: str) -> bool:
     if want == "array":
         return kind.kind == "array" and m.types[kind.of].kind == "float"
     return bool(want) and kind.letter in (want[0], "u" if want[0] == "i" else want[0]) and kind.components == int(want[1])
+
+
+def _bytes(m: Module, x: int) -> int:
+    """What a variable of this type takes at most: three of a vector count four."""
+    kind = m.types[x]
+    if kind.letter:
+        return 4 * (4 if kind.components == 3 else kind.components)
+    return sum(_bytes(m, part) for part in kind.members) if kind.kind == "struct" else kind.count * _bytes(m, kind.of)

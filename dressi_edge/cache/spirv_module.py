@@ -19,8 +19,9 @@ MAX_WORDS = 1 << 20
 MAX_COMPONENTS = 1 << 14  # scalars of one type
 MAX_DEPTH = 16  # of arrays, matrices and structures in each other
 MAX_WEIGHT = 1 << 16  # scalars of all variables, and of all values that are neither scalar nor vector
-UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE, FUNCTION = 0, 1, 3, 6, 7
+UNIFORM_CONSTANT, INPUT, OUTPUT, WORKGROUP, PRIVATE, FUNCTION, IMAGE = 0, 1, 3, 4, 6, 7, 11
 STORAGES = (UNIFORM_CONSTANT, INPUT, OUTPUT, PRIVATE, FUNCTION)
+COMPUTE_STORAGES = (WORKGROUP, IMAGE)  # of compute shaders alone
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Type:
     """kind: void bool int uint float vector matrix array struct image sampled pointer function. components: scalars in all, 0 for what
     holds none. depth: how deep it nests. letter: b i u f of a scalar or vector, else "". count: immediate parts. of: id of the type of
     parts, of what is pointed to, of the image, or of what a function returns. members: ids of a structure's parts, or of parameters.
-    Of images: integer, what a read gives; attachment, a subpass input."""
+    Of images: integer, what a read gives; attachment, a subpass input; format, the VkFormat of a storage image, else 0."""
 
     kind: str
     components: int = 0
@@ -40,6 +41,7 @@ class Type:
     storage: int = -1
     integer: bool = False
     attachment: bool = False
+    format: int = 0
 
     @property
     def plain(self) -> bool:
@@ -71,6 +73,7 @@ class Module:
         self.values: dict[int, int] = {}
         self.integers: dict[int, int] = {}
         self.fixed: set[int] = set()
+        self.composites: dict[int, tuple[int, ...]] = {}  # of constants
         self.defined: set[int] = set()
         self.variables: list[tuple[int, int, int]] = []
         self.capabilities: set[int] = set()

@@ -6,7 +6,8 @@ of their type, whatever is larger or deeper than `spirv_module.py` allows.
 """
 from __future__ import annotations
 
-from .spirv_module import MAX_COMPONENTS, MAX_DEPTH, OUTPUT, STORAGES, UNIFORM_CONSTANT, Module, Type
+from . import vulkan as v
+from .spirv_module import COMPUTE_STORAGES, IMAGE, MAX_COMPONENTS, MAX_DEPTH, OUTPUT, STORAGES, UNIFORM_CONSTANT, Module, Type
 
 # opcode: how many words a type has after the first, at least and at most
 LENGTHS = {19: (1, 1), 20: (1, 1), 21: (3, 3), 22: (2, 2), 23: (3, 3), 24: (3, 3), 25: (8, 8), 27: (2, 2), 28: (3, 3), 30: (1, None),
@@ -50,6 +51,7 @@ def declare_constant(m: Module, op: int, ops: tuple, at: int) -> None:
         for x, part in zip(ops[2:], m.parts(kind)):
             if x not in m.fixed or m.values[x] != part:
                 m.wrong(at, f"a part (id {m.id(x, at)}) that is no constant of the type of the part")
+        m.composites[ops[1]] = ops[2:]
     if not kind.letter:
         m.weigh(kind, at)
     m.fixed.add(m.define(ops[1], at))
@@ -93,16 +95,19 @@ def _image(m: Module, ops: tuple, at: int) -> Type:
     _, _, dim, depth, arrayed, multisampled, sampled, image_format = ops
     if x.kind not in ("float", "int"):
         m.wrong(at, "an image of what is neither float nor int")
-    if (dim, sampled) not in ((1, 1), (6, 2)) or depth not in (0, 2) or arrayed or multisampled or image_format:
-        m.wrong(at, "an image that is neither sampled 2D nor subpass input")
+    storage = v.STORABLE.get(image_format, 0) if m.stage == v.STAGE_COMPUTE and (dim, sampled) == (1, 2) else 0
+    if ((dim, sampled) not in ((1, 1), (6, 2)) or image_format) and not storage or depth not in (0, 2) or arrayed or multisampled:
+        m.wrong(at, "an image that is neither sampled 2D nor subpass input nor, of a compute shader, storage of a format for it")
+    if storage and (storage in v.INTEGER_FORMATS) != (x.kind == "int"):
+        m.wrong(at, "a storage image whose format does not hold its numbers")
     if dim == 6 and 40 not in m.capabilities:
         m.wrong(at, "a subpass input without capability 40")
-    return Type("image", of=ops[1], integer=x.kind == "int", attachment=dim == 6)
+    return Type("image", of=ops[1], integer=x.kind == "int", attachment=dim == 6, format=storage)
 
 
 def _sampled(m: Module, ops: tuple, at: int) -> Type:
     x = m.type(ops[1], at)
-    if x.kind != "image" or x.attachment:
+    if x.kind != "image" or x.attachment or x.format:
         m.wrong(at, "a combined sampler of what is no sampled image")
     return Type("sampled", of=ops[1], integer=x.integer)
 
@@ -121,13 +126,16 @@ def _struct(m: Module, ops: tuple, at: int) -> Type:
 
 
 def _pointer(m: Module, ops: tuple, at: int) -> Type:
-    if ops[1] not in STORAGES:
-        m.wrong(at, f"a pointer to storage class {ops[1]}; images, inputs, outputs, private and local variables are allowed")
+    if ops[1] not in STORAGES and not (m.stage == v.STAGE_COMPUTE and ops[1] in COMPUTE_STORAGES):
+        m.wrong(at, f"a pointer to storage class {ops[1]}; images, inputs, outputs, private and local variables, and those that the "
+                    "invocations of a compute shader share, are allowed")
     x = m.type(ops[2], at)
     if x.kind not in ("image", "sampled") if ops[1] == UNIFORM_CONSTANT else not x.components:
         m.wrong(at, f"a pointer of storage class {ops[1]} to {x.kind}")
     if ops[2] in m.closed and ops[1] != OUTPUT:
         m.wrong(at, f"a structure of built-ins in storage class {ops[1]}; outputs are allowed")
+    if ops[1] == IMAGE and x.kind != "int":
+        m.wrong(at, f"a pointer to texels that are {x.kind}; int is allowed")
     return Type("pointer", of=ops[2], storage=ops[1])
 
 
@@ -135,6 +143,8 @@ def _function(m: Module, ops: tuple, at: int) -> Type:
     for x in ops[1:]:
         if m.type(x, at).kind in ("function", "image", "sampled") or x != ops[1] and m.types[x].kind == "void":
             m.wrong(at, f"a function that takes or returns {m.types[x].kind}")
+        if m.types[x].kind == "pointer" and m.types[x].storage in COMPUTE_STORAGES:
+            m.wrong(at, "a function that takes a pointer to what invocations share")
     if m.types[ops[1]].kind == "pointer" or ops[1] in ops[2:] and m.types[ops[1]].kind == "void":
         m.wrong(at, f"a function that {'returns a pointer' if m.types[ops[1]].kind == 'pointer' else 'takes void'}")
     return Type("function", of=ops[1], members=ops[2:])

@@ -168,14 +168,16 @@ def _texel(body, ops: tuple, image: Type, at: int) -> None:
     body.result(ops[0], ops[1], at)
 
 
-def _image_operand(body, x: int, kind: str, at: int, attachment: bool = False) -> Type:
+def image_operand(body, x: int, kind: str, at: int, attachment: bool = False, storage: bool = False) -> Type:
+    """The type of an operand that is an image: one to sample, of a subpass, or to write."""
     found = body.m.types[body.value(x, at)]
-    if found.kind != kind or found.attachment != attachment:
-        body.m.wrong(at, f"id {x} is no {kind}{' of a subpass' if attachment else ''}")
+    if found.kind != kind or found.attachment != attachment or bool(found.format) != storage:
+        body.m.wrong(at, f"id {x} is no {kind}{' of a subpass' if attachment else ' to write' if storage else ''}")
     return found
 
 
-def _place(body, x: int, letters: str, least: int, at: int, most: int = 4) -> None:
+def place(body, x: int, letters: str, least: int, at: int, most: int = 4) -> None:
+    """An operand that says where in an image."""
     kind = body.m.types[body.value(x, at)]
     if not kind.letter or kind.letter not in letters or not least <= kind.components <= most:
         body.m.wrong(at, f"id {x} is no place in an image")
@@ -184,10 +186,10 @@ def _place(body, x: int, letters: str, least: int, at: int, most: int = 4) -> No
 def _sample(explicit: bool, projective: bool):
     def check(body, ops: tuple, at: int) -> None:
         body.m.operands(ops, 4, at)
-        image = _image_operand(body, ops[2], "sampled", at)
+        image = image_operand(body, ops[2], "sampled", at)
         if not explicit:
             body.only_fragments(body.words[at] & 0xFFFF, at)
-        _place(body, ops[3], "f", 2 + projective, at)
+        place(body, ops[3], "f", 2 + projective, at)
         if explicit and (len(ops) < 5 or ops[4] & (LOD | GRAD) not in (LOD, GRAD)):
             body.m.wrong(at, "a sample with neither a level of detail nor gradients")
         if explicit and ops[4] & LOD and len(ops) > 5:
@@ -200,8 +202,8 @@ def _sample(explicit: bool, projective: bool):
 def _fetch(body, ops: tuple, at: int) -> None:
     m = body.m
     m.operands(ops, 4, at)
-    image = _image_operand(body, ops[2], "image", at)
-    _place(body, ops[3], "iu", 2, at)
+    image = image_operand(body, ops[2], "image", at)
+    place(body, ops[3], "iu", 2, at)
     if len(ops) > 5 and ops[4] & LOD:
         _scalar(body, ops[5], "iu", at)
     _operands(body, ops[4:], LOD | OFFSET, at)
@@ -210,8 +212,8 @@ def _fetch(body, ops: tuple, at: int) -> None:
 
 def _gather(body, ops: tuple, at: int) -> None:
     body.m.operands(ops, 5, at)
-    image = _image_operand(body, ops[2], "sampled", at)
-    _place(body, ops[3], "f", 2, at)
+    image = image_operand(body, ops[2], "sampled", at)
+    place(body, ops[3], "f", 2, at)
     _scalar(body, ops[4], "iu", at)
     _operands(body, ops[5:], OFFSET, at)
     _texel(body, ops, image, at)
@@ -220,17 +222,17 @@ def _gather(body, ops: tuple, at: int) -> None:
 def _read(body, ops: tuple, at: int) -> None:
     """Of a subpass input."""
     body.m.operands(ops, 4, at, 4)
-    image = _image_operand(body, ops[2], "image", at, True)
+    image = image_operand(body, ops[2], "image", at, True)
     if body.m.stage != FRAGMENT:
         body.m.wrong(at, "a subpass input belongs to fragment shaders")
-    _place(body, ops[3], "iu", 2, at)
+    place(body, ops[3], "iu", 2, at)
     _texel(body, ops, image, at)
 
 
 def _image(body, ops: tuple, at: int) -> None:
     m = body.m
     m.operands(ops, 3, at, 3)
-    if _image_operand(body, ops[2], "sampled", at).of != ops[0]:
+    if image_operand(body, ops[2], "sampled", at).of != ops[0]:
         m.wrong(at, "the image of a combined sampler, of another type")
     body.result(ops[0], ops[1], at)
 
@@ -239,11 +241,11 @@ def _query(kind: str, letters: str, size: int, more: tuple[str, int] | None):
     def check(body, ops: tuple, at: int) -> None:
         m = body.m
         m.operands(ops, 3 + bool(more), at, 3 + bool(more))
-        _image_operand(body, ops[2], kind, at)
+        image_operand(body, ops[2], kind, at)
         if kind == "sampled":
             body.only_fragments(body.words[at] & 0xFFFF, at)
         if more:
-            _place(body, ops[3], more[0], more[1], at, 1 if more[1] == 1 else 4)
+            place(body, ops[3], more[0], more[1], at, 1 if more[1] == 1 else 4)
         made = m.type(ops[0], at)
         if QUERY not in m.capabilities or not made.letter or made.letter not in letters or made.components != size:
             m.wrong(at, f"a query without capability {QUERY}, or of another type")

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from . import vulkan as v
+from .bundle_plans import bound, written
 
 
 def image_bytes(image: Mapping) -> int:
@@ -17,6 +18,10 @@ def image_bytes(image: Mapping) -> int:
 def stage_bytes(d: Mapping, stage: Mapping) -> int:
     """Bytes a render pass moves between images and the GPU: every attachment it loads, every one it stores, and once a subpass
     every image that is sampled there. Input attachments stay where they are; reuse by a cache is not counted."""
+    if "compute" in stage:
+        loaded = [o["load"] == v.LOAD_LOAD for o in d["computes"][stage["compute"]]["outputs"]]
+        return sum((1 + again) * image_bytes(d["images"][ref // 2]) for ref, again in zip(stage["outputs"], loaded)) \
+            + sum(image_bytes(d["images"][ref // 2]) for ref in set(stage["images"]))
     total = 0
     for ref, a in zip(stage["attachments"], d["passes"][stage["pass"]]["attachments"]):
         times = (a["load"] == v.LOAD_LOAD) + (a["store"] == v.STORE_STORE)
@@ -28,9 +33,21 @@ def stage_bytes(d: Mapping, stage: Mapping) -> int:
     return total
 
 
-def pipelines(plan: Mapping) -> set[int]:
-    """The numbers of the pipelines that a plan uses."""
-    return {draw["pipeline"] for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws}
+def pipelines(plan: Mapping) -> set[tuple[str, int]]:
+    """The pipelines that a plan uses: their kind and number."""
+    return {("compute", stage["compute"]) if "compute" in stage else ("graphics", draw["pipeline"]) for stage in plan["stages"]
+            for draw in ([stage] if "compute" in stage else [draw for draws in stage["subpasses"] for draw in draws])}
+
+
+def substages(stage: Mapping) -> int:
+    """How many subpasses a stage has; one of compute is one."""
+    return 1 if "compute" in stage else len(stage["subpasses"])
+
+
+def size(d: Mapping, stage: Mapping) -> tuple[int, int]:
+    """Width and height of what a stage draws, or of the first image that its compute shader writes."""
+    image = d["images"][stage["outputs"][0] // 2] if "compute" in stage else stage
+    return image["width"], image["height"]
 
 
 def summary(d: Mapping) -> dict[str, dict]:
@@ -38,7 +55,7 @@ def summary(d: Mapping) -> dict[str, dict]:
     functions = d["meta"].get("functions")
     functions = functions if isinstance(functions, dict) else {}
     return {plan["name"]: {
-        "functions": functions.get(plan["name"]), "substages": sum(len(stage["subpasses"]) for stage in plan["stages"]),
+        "functions": functions.get(plan["name"]), "substages": sum(map(substages, plan["stages"])),
         "stages": len(plan["stages"]), "pipelines": len(pipelines(plan)),
         "bytes_per_step": sum(stage_bytes(d, stage) for stage in plan["stages"])} for plan in d["plans"]}
 
@@ -53,7 +70,7 @@ def _size(count: float) -> str:
 
 def text(d: Mapping) -> str:
     """The summary and every stage, for people."""
-    lines = [f"profile {d['profile']['name']}: {len(d['plans'])} plans, {len(d['pipelines'])} pipelines, "
+    lines = [f"profile {d['profile']['name']}: {len(d['plans'])} plans, {len(d['pipelines']) + len(d.get('computes', ()))} pipelines, "
              f"{len(d['shaders'])} shaders, {len(d['images'])} images of "
              f"{_size(sum(image_bytes(i) * i['slots'] for i in d['images']))}", ""]
     for plan in d["plans"]:
@@ -62,12 +79,14 @@ def text(d: Mapping) -> str:
         lines.append(f"{plan['name']}: {known}{s['substages']} substages, {s['stages']} stages, {s['pipelines']} pipelines, "
                      f"{_size(s['bytes_per_step'])} a step" + (f", {plan['steps']} steps" if plan["steps"] else ""))
         for k, stage in enumerate(plan["stages"]):
-            formats = [d["images"][ref // 2]["format"] for ref in stage["attachments"]]
+            compute = "compute" in stage
+            formats = [d["images"][ref // 2]["format"] for ref in written(stage)]
             names = [v.FORMAT_NAMES.get(f, "depth") for f in formats]
             count = " ".join(f"{names.count(n)}x{n}" for n in dict.fromkeys(names))
-            draws = sum(len(draw["cells"]) for subpass in stage["subpasses"] for draw in subpass)
-            lines.append(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages, "
-                         f"{draws} draws, {_size(stage_bytes(d, stage))}, attachments {count}")
+            (width, height), what = size(d, stage), "compute, " + " x ".join(map(str, stage["groups"])) + " workgroups" if compute else \
+                f"{sum(len(draw['cells']) for subpass in stage['subpasses'] for draw in subpass)} draws"
+            lines.append(f"  {k:3} {width:5} x {height:<5} {substages(stage)} substages, "
+                         f"{what}, {_size(stage_bytes(d, stage))}, {'outputs' if compute else 'attachments'} {count}")
     needs = " ".join(f"{name}={x}" for name, x in d["needs"]["limits"].items())
     return "\n".join([*lines, "", f"needs of the device: {needs}"]) + "\n"
 
@@ -84,14 +103,14 @@ def dot(d: Mapping) -> str:
         writer: dict[int, int] = {}
         edges: dict[tuple[int, int], int] = {}
         for k, stage in enumerate(plan["stages"]):
-            label = f"{k}: {stage['width']} x {stage['height']}\\n{len(stage['subpasses'])} substages, " \
-                    f"{len(stage['attachments'])} attachments\\n{_size(stage_bytes(d, stage))}"
+            (width, height), what = size(d, stage), "outputs" if "compute" in stage else "attachments"
+            label = f"{k}: {width} x {height}\\n{substages(stage)} substages, " \
+                    f"{len(written(stage))} {what}\\n{_size(stage_bytes(d, stage))}"
             lines.append(f"    s{p}_{k} [label=\"{label}\"];")
-            reads = {ref for draws in stage["subpasses"] for draw in draws for ref in draw["images"]}
-            for ref in sorted(reads):
+            for ref in sorted(set(bound(stage))):
                 if ref in writer and writer[ref] != k:
                     edges[writer[ref], k] = edges.get((writer[ref], k), 0) + 1
-            writer.update(dict.fromkeys(stage["attachments"], k))
+            writer.update(dict.fromkeys(written(stage), k))
         lines += [f"    s{p}_{a} -> s{p}_{b}" + (f" [label=\"{n}\"];" if n > 1 else ";") for (a, b), n in edges.items()]
         lines.append("  }")
     return "\n".join([*lines, "}"]) + "\n"

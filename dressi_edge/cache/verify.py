@@ -3,7 +3,7 @@
 In: a checked description, a `Profile`, and the interfaces of its shaders (`Bundle.interfaces`). Out: one line for each thing
 that breaks a limit. Shares nothing with the packer: it looks at what the driver will be given, not at how that came about.
 
-Limits that no bundle can break are not here: there are no buffers but those of the transfers, no compute, one layer, one
+Limits that no bundle can break are not here: there are no buffers but those of the transfers, one layer, one
 viewport and one level, no blending, and draws are not indexed, so that maxDrawIndexedIndexValue bounds nothing.
 """
 from __future__ import annotations
@@ -18,11 +18,13 @@ FORMAT_NAMES = {**v.FORMAT_NAMES, **{number: name for name, number in v.DEPTH_FO
 MEMORY_TYPES = 32  # VK_MAX_MEMORY_TYPES: a session allocates once a memory type, and once for its transfers
 DECLARED = {"subPixelPrecisionBits": "bits of the grid to which corners are rounded",
             "subTexelPrecisionBits": "bits of the weights of a filter"}
-USAGE_FEATURES = ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color"), (v.USAGE_INPUT, "color"))
+USAGE_FEATURES = ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color"), (v.USAGE_INPUT, "color"), (v.USAGE_STORAGE, "storage"))
 # descriptor kind: what it counts against; a combined sampler is a sampler and a sampled image, but one resource
 DESCRIPTORS = {v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER: ("Samplers", "SampledImages"),
-               v.DESCRIPTOR_SAMPLED_IMAGE: ("SampledImages",), v.DESCRIPTOR_INPUT_ATTACHMENT: ("InputAttachments",)}
-WORDS = {"Samplers": "samplers", "SampledImages": "sampled images", "InputAttachments": "input attachments"}
+               v.DESCRIPTOR_SAMPLED_IMAGE: ("SampledImages",), v.DESCRIPTOR_INPUT_ATTACHMENT: ("InputAttachments",),
+               v.DESCRIPTOR_STORAGE_IMAGE: ("StorageImages",)}
+WORDS = {"Samplers": "samplers", "SampledImages": "sampled images", "InputAttachments": "input attachments",
+         "StorageImages": "storage images"}
 STAGES = ((v.STAGE_VERTEX, "vertex"), (v.STAGE_FRAGMENT, "fragment"))
 
 
@@ -30,8 +32,8 @@ def violations(description: Mapping, profile: Profile, interfaces: Sequence[Inte
     """What breaks the profile, one line each, in the order of the description; empty if it fits. Without `interfaces` what the
     shaders pass from vertex to fragment is not counted. Checked:
 
-    images      maxImageDimension2D; format features for what is done with them: sampled, color (input attachments too), filter,
-                and one depth format that the profile promises; maxMemoryAllocationCount
+    images      maxImageDimension2D; format features for what is done with them: sampled, color (input attachments too), storage,
+                filter, and one depth format that the profile promises; maxMemoryAllocationCount
     samplers    maxSamplerAllocationCount
     stages      maxFramebufferWidth, maxFramebufferHeight; of cells: maxViewportDimensions, viewportBoundsRange
     subpasses   maxColorAttachments, maxFragmentOutputAttachments, maxFragmentCombinedOutputResources; with several colours:
@@ -43,6 +45,8 @@ def violations(description: Mapping, profile: Profile, interfaces: Sequence[Inte
     pipelines   maxPerStageDescriptor and maxDescriptorSet of Samplers, SampledImages, InputAttachments; maxPerStageResources,
                 of the fragment stage with the colours; maxBoundDescriptorSets; maxVertexOutputComponents and
                 maxFragmentInputComponents, where every location counts four and the built-ins what they have
+    compute     of descriptors and resources the same; of shaders maxComputeWorkGroupSize, maxComputeWorkGroupInvocations and
+                maxComputeSharedMemorySize; of stages maxComputeWorkGroupCount
     """
     return list(_Count(description, profile, interfaces).lines())
 
@@ -53,9 +57,15 @@ class _Count:
         self.pass_at: dict[int, str] = {}
         self.pipeline_at: dict[int, str] = {}
         self.filtered: set[int] = set()
+        self.compute_at: dict[int, str] = {}
         for plan in d["plans"]:
             name = plan["name"] if plan["name"].isprintable() else ascii(plan["name"])
             for k, stage in enumerate(plan["stages"]):
+                if "compute" in stage:
+                    self.compute_at.setdefault(stage["compute"], f"{name}.stages[{k}]")
+                    self.filtered.update(ref // 2 for ref, (kind, _) in zip(stage["images"], d["computes"][stage["compute"]]["bindings"])
+                                         if kind == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER)
+                    continue
                 self.pass_at.setdefault(stage["pass"], f"{name}.stages[{k}]")
                 for j, draws in enumerate(stage["subpasses"]):
                     for draw in draws:
@@ -71,6 +81,8 @@ class _Count:
             yield from self.render_pass(self.pass_at.get(k, "unused"), k, p)
         for k, p in enumerate(self.d["pipelines"]):
             yield from self.pipeline(f"{self.pipeline_at.get(k, 'unused')} (pipeline {k})", p)
+        for k, c in enumerate(self.d.get("computes", ())):
+            yield from self.compute(f"{self.compute_at.get(k, 'unused')} (compute {k})", c)
         for plan in self.d["plans"]:
             name = plan["name"] if plan["name"].isprintable() else ascii(plan["name"])
             for k, stage in enumerate(plan["stages"]):
@@ -143,7 +155,10 @@ class _Count:
             yield f"{where} needs {bits} bits of tile colour a pixel; profile {self.profile.name} allows {most} (tile_bits)"
 
     def stage(self, where: str, stage: Mapping) -> Iterator[str]:
-        """Of a stage's framebuffer and viewports."""
+        """Of a stage's framebuffer and viewports, or of its workgroups."""
+        if "compute" in stage:
+            yield from self.sizes(where, stage["groups"], "workgroups", "maxComputeWorkGroupCount")
+            return
         yield from self.limit(where, stage["width"], "pixels of framebuffer width", "maxFramebufferWidth")
         yield from self.limit(where, stage["height"], "pixels of framebuffer height", "maxFramebufferHeight")
         size, (low, high) = self.profile.limit("maxViewportDimensions"), self.profile.limit("viewportBoundsRange")
@@ -161,6 +176,29 @@ class _Count:
                         break
 
     # ---- pipelines
+
+    def sizes(self, where: str, found: Sequence[int], what: str, limit: str) -> Iterator[str]:
+        """A line if there is more along an axis than the limit allows."""
+        allowed = self.profile.limit(limit)
+        if any(map(int.__gt__, found, allowed)):
+            yield (f"{where} needs {' x '.join(map(str, found))} {what}; profile {self.profile.name} allows "
+                   f"{' x '.join(map(str, allowed))} ({limit})")
+
+    def compute(self, where: str, c: Mapping) -> Iterator[str]:
+        """Of a compute pipeline's descriptors, and of its workgroups."""
+        kinds = [*(kind for kind, _ in c["bindings"]), *(v.DESCRIPTOR_STORAGE_IMAGE for _ in c["outputs"])]
+        yield from self.limit(where, 1, "descriptor sets", "maxBoundDescriptorSets")
+        for group, words in WORDS.items():
+            found = sum(group in DESCRIPTORS[kind] for kind in kinds)
+            yield from self.limit(where, found, f"{words} in its set", f"maxDescriptorSet{group}")
+            yield from self.limit(where, found, f"{words} in its shader", f"maxPerStageDescriptor{group}")
+        yield from self.limit(where, len(kinds), "resources in its shader", "maxPerStageResources")
+        if self.interfaces is not None:
+            shader = self.interfaces[c["shader"]]
+            yield from self.sizes(where, shader.local_size, "invocations in a workgroup", "maxComputeWorkGroupSize")
+            x, y, z = shader.local_size
+            yield from self.limit(where, x * y * z, "invocations in a workgroup", "maxComputeWorkGroupInvocations")
+            yield from self.limit(where, shader.shared_bytes, "bytes of memory that a workgroup shares", "maxComputeSharedMemorySize")
 
     def pipeline(self, where: str, p: Mapping) -> Iterator[str]:
         """Of a pipeline's descriptors, and of what its shaders pass on."""

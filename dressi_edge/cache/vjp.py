@@ -12,7 +12,8 @@ import numpy as np
 from .errors import InputError
 
 
-def _outputs(session, plan: str) -> list[str]:
+def outputs(session, plan: str) -> list[str]:
+    """The names of the values that a plan gives out."""
     values = session.bundle.description["values"]
     return [values[k]["name"] for k in session.plans[plan]["outputs"]]
 
@@ -27,21 +28,20 @@ def check(session, name: str) -> None:
 def forward(session, name: str) -> dict[str, np.ndarray]:
     """The outputs by their short names. Raises InputError."""
     check(session, name)
-    return {key[len(name) + 1:]: session.get(key) for key in _outputs(session, name)}
+    return {key[len(name) + 1:]: array for key, array in session.get_all(outputs(session, name)).items()}
 
 
 def backward(session, name: str, gradients: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The gradients by parameter of what has these gradients by output, zero for those that are not given; each of its output's
     shape. Raises InputError before anything changes where one is not so."""
     check(session, name)
-    outputs = [key[len(name) + 1:] for key in _outputs(session, name)]
-    if unknown := [key for key in gradients if key not in outputs]:
-        raise InputError(f"vjp {name} has no output {unknown[0]!r:.60}; there are: {' '.join(outputs)}")
-    given = {key: np.asarray(gradients[key]) for key in outputs if key in gradients}
+    keys = [key[len(name) + 1:] for key in outputs(session, name)]
+    if unknown := [key for key in gradients if key not in keys]:
+        raise InputError(f"vjp {name} has no output {unknown[0]!r:.60}; there are: {' '.join(keys)}")
+    given = {key: np.asarray(gradients[key]) for key in keys if key in gradients}
     for key, g in given.items():
         shape = session.shape(f"{name}.{key}.grad")
         if g.shape != shape or g.dtype.kind not in "biuf" or not np.isfinite(g.astype(np.float32)).all():
             raise InputError(f"the gradient by {key} has shape {g.shape}, type {g.dtype}; finite numbers of shape {shape} are needed")
-    for key in outputs:
-        session.set(f"{name}.{key}.grad", given.get(key, np.zeros(session.shape(f"{name}.{key}.grad"), np.float32)))
-    return {key[len(name) + 1:-len(".grad")]: session.get(key) for key in _outputs(session, f"{name}.vjp")}
+    session.set_all({f"{name}.{key}.grad": given.get(key, np.zeros(session.shape(f"{name}.{key}.grad"), np.float32)) for key in keys})
+    return {key[len(name) + 1:-len(".grad")]: array for key, array in session.get_all(outputs(session, f"{name}.vjp")).items()}

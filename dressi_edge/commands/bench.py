@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import time
 
-from ..cache.summary import stage_bytes, summary
+from ..cache.summary import size, stage_bytes, substages, summary
 from .files import print_json
 
 
@@ -33,7 +33,8 @@ def bench(args) -> None:
         print(f"\n{plan['name']}: {row['ms']:.2f} ms on the device, {row['bytes_per_step'] / 1e6:.2f} MB{whole}")
         for k, (stage, ms) in enumerate(zip(plan["stages"], row["stage_ms"])):
             share = 100 * ms / row["ms"] if row["ms"] else 0.0
-            print(f"  {k:3} {stage['width']:5} x {stage['height']:<5} {len(stage['subpasses'])} substages "
+            width, height = size(d, stage)
+            print(f"  {k:3} {width:5} x {height:<5} {'compute    ' if 'compute' in stage else f'{substages(stage)} substages'} "
                   f"{stage_bytes(d, stage) / 1e6:8.2f} MB {ms:8.3f} ms {share:5.1f} %")
 
 

@@ -10,14 +10,22 @@ from ..cache.summary import summary
 from .files import check_folder, print_json
 
 
+def _told(done: int, of: int) -> None:
+    """How many pictures are read, on a terminal."""
+    sys.stderr.write(f"\rpictures read: {done} of {of}" + ("\r\x1b[K" if done == of else ""))
+    sys.stderr.flush()
+
+
 def compile_job(args) -> None:
     """The command: a bundle of a job."""
     check_folder(args.output)
     profiles = [Profile.load(name) for name in args.profile]
     from ..compiler.backend.needs import shadowed
     from ..compiler.scene.job import load_job
+    from ..compiler.scene.targets import Carried
     start = time.perf_counter()
-    description = load_job(args.job, profiles).compile(profiles, args.output, storage=args.storage)
+    job = load_job(args.job, profiles, _told if sys.stderr.isatty() else None, Carried(args.embed, args.memory))
+    description = job.compile(profiles, args.output, storage=args.storage, compute=args.compute)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
     plans = {d["profile"]["name"]: summary(d) for d in variants}
@@ -26,10 +34,13 @@ def compile_job(args) -> None:
         return
     phases = " ".join(f"{name} ({steps} steps)" for name, steps in variants[0]["meta"]["phases"])
     print(f"{args.output}: {os.path.getsize(args.output) / 1e6:.2f} MB, phases {phases}, made in {seconds:.1f} s")
+    fed = variants[0]["meta"].get("pictures")
+    if fed is not None and not fed["blobs"]:
+        print(f"its {fed['views']} pictures are not in it: run it with --views DIR, or compile it with --embed")
     for later, earlier in shadowed(variants).items():
         print(f"note: {later} is never chosen for what a device has: {earlier} comes before it and needs no more")
     for d in variants:
-        print(f"for profile {d['profile']['name']}, {len(d['pipelines'])} pipelines:")
+        print(f"for profile {d['profile']['name']}, {len(d['pipelines']) + len(d.get('computes', ()))} pipelines:")
         for name, row in plans[d["profile"]["name"]].items():
             print(f"  {name}: " + ", ".join(f"{row[key]} {key}" for key in ("functions", "substages", "stages", "pipelines")))
     sys.stdout.flush()

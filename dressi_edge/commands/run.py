@@ -90,14 +90,24 @@ def _open(args):
             raise InputError("--pin: a job has no digest; give a bundle, or leave --pin away")
         from ..compiler.graph.reference_session import ReferenceSession
         from ..compiler.scene.job import load_job
-        problem = load_job(args.bundle)
+        from ..compiler.scene.targets import Carried
+        problem = load_job(args.bundle, carried=Carried(whole=True))
         problem.program.meta.update(problem.record())
         return ReferenceSession(problem.program)
     if args.bundle.endswith(".toml"):
         raise InputError(f"{args.bundle} is a job; make a bundle of it first: "
                          f"dressi-edge compile {args.bundle} -p PROFILE -o X.dressi")
     from .. import runtime
-    return runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile, pin=args.pin)
+    session = runtime.load(args.bundle, args.device, emulate=args.emulate, profile=args.profile, pin=args.pin)
+    try:
+        if args.views is not None:
+            from ..compiler.io.again import reader
+            meta = session.bundle.description["meta"]
+            session.pictures(reader(args.views, meta.get("pictures"), bool(meta.get("linear_images"))))
+        return session
+    except BaseException:
+        session.close()
+        raise
 
 
 def _todo(session, args) -> list[tuple[str, int]]:
@@ -124,17 +134,20 @@ def _check_output(path: str) -> str:
 def run(args) -> int:
     """The command; its exit code."""
     kind = args.output and _check_output(args.output)
+    if args.scene and not (args.output or "").lower().endswith((".glb", ".gltf")):
+        raise InputError(f"--scene writes lights and cameras into glTF; -o {args.output} is none: give a .glb or .gltf")
     results = None
     if kind == "mesh":
         from ..compiler.scene import results
     with _open(args) as session:
         todo = _todo(session, args)
+        session.ready()
         if kind == "arrays":
             _check_names(_states(session))
         before = None
         if results:
             results.check(session)  # fails now rather than after the work
-            before = results.snapshot(session)
+            before = results.snapshot(session, results.SHOWN)
         curves, phases = {}, {}
         for name, steps in todo:
             phases[name] = solve(session, name, steps, curves.setdefault(name, []))
@@ -143,7 +156,7 @@ def run(args) -> int:
         metrics = {"device": session.device.name, "driver": session.device.driver,
                    "profile": session.report()["profile"], "phases": phases}
         if results:
-            metrics = results.write(session, args.output, curves, before, metrics)
+            metrics = results.write(session, args.output, curves, before, metrics, scene=args.scene)
         elif kind:
             _save_states(session, args.output)
         if args.explain:

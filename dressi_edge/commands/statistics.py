@@ -68,7 +68,7 @@ def places(d: dict) -> dict[int, Place]:
     found: dict[int, Place] = {}
     for plan in d["plans"]:
         for k, stage in enumerate(plan["stages"]):
-            for j, draws in enumerate(stage["subpasses"]):
+            for j, draws in enumerate(stage.get("subpasses", ())):
                 for draw in draws:
                     pixels = sum(cell[2] * cell[3] for cell in draw["cells"])
                     found.setdefault(draw["pipeline"], Place(plan["name"], k, j, stage["width"], stage["height"], draw["vertices"], pixels))

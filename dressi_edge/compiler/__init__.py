@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from ..cache import bundle as _bundle
 from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
-from ..cache.errors import GraphError, PackError, ProfileError
+from ..cache.errors import GraphError, InputError, PackError, ProfileError
 from ..cache.profile import Profile
 from ..cache.spirv_interface import parse
+from ..cache.summary import image_bytes
 from ..cache.verify import violations
 from .backend import dump, spirv
 from .backend.allocate import allocate
@@ -21,6 +22,8 @@ from .backend.emit import emit
 from .backend.needs import needs
 from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
+from .passes.compute import choose as choose_compute
+from .passes.compute import find_compute
 from .passes.domains import find_domains
 from .passes.groups import grouped, lowered
 from .passes.lists import MIN_TEXELS, find_lists
@@ -36,15 +39,19 @@ class Options:
     """How to compile. naive: one function a pass; cache=False: nothing is computed beforehand; stage_packing=False: one substage a pass;
     domains=False: everything is drawn that need not keep what it does not write. These are twins of the same bits, for comparison.
     storage: "half" stores targets and gradients of pixels in 16 bits a channel (docs/numerics.md), "float" does not; by default half
-    if all profiles prefer it. sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none
-    where it is None."""
+    if all profiles prefer it. compute: what is dispatched instead of drawn, where the profile allows it: "none"; "pixel", pixelwise
+    work that leaves nothing undrawn; "all", the rest of it, too; by default as the profile prefers. The bits are the same.
+    sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none where it is None.
+    memory: bytes that all images may take, None for any."""
 
     naive: bool = False
     cache: bool = True
     stage_packing: bool = True
     storage: str | None = None
+    memory: int | None = None
     sparse_texels: int | None = MIN_TEXELS
     domains: bool = True
+    compute: str | None = None
 
     @property
     def lists(self) -> int | None:
@@ -54,7 +61,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Built:
-    """description and blobs: the bundle. plans: as packed, with `stages`; shaders: the GLSL of each, ("vert" or "frag", text)."""
+    """description and blobs: the bundle. plans: as packed, with `stages`; shaders: the GLSL of each, ("vert", "frag" or "comp", text)."""
 
     description: dict
     blobs: list[bytes]
@@ -86,7 +93,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]
-    packed = checked("packed", tuple(replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed))
+    packed = [replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed]
+    kind = choose_compute(options.compute, profile)
+    packed = checked("packed", tuple(replace(plan, stages=find_compute(plan.stages, profile, kind)) for plan in packed))
     places = checked("placed", allocate(program, packed))
     code = [emit(plan.stages, profile) for plan in packed]
     see("shaders", glsl := shaders(code))
@@ -95,6 +104,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed}}
     if texels:
         description["meta"]["texels"] = texels
+    if options.memory is not None and (size := sum(image_bytes(x) * x["slots"] for x in description["images"])) > options.memory:
+        raise InputError(f"the images of the bundle need {size / 1e6:.1f} MB for profile {profile.name}; memory allows "
+                         f"{options.memory / 1e6:.1f} MB; use smaller views, a smaller texture, or more memory")
     interfaces = [parse(blobs[k], f"shaders[{n}]") for n, k in enumerate(description["shaders"])]
     grid = any(draw.grid for plan in code for stage in plan for substage in stage for draw in substage.draws)
     description |= {"profile": {"name": profile.name, "digest": profile.digest}, "needs": needs(description, profile, interfaces, grid),
@@ -121,6 +133,10 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
     made = [build(program, p, options, dump.watcher(p.name if len(profiles) > 1 else "")) for p in profiles]
     description, blobs = ((made[0].description, made[0].blobs) if len(made) == 1 else
                           _bundle.combine([(x.description, x.blobs) for x in made]))
+    for key, extra in program.attached.items():
+        for d in description.get("variants", [description]) if extra else ():
+            d["meta"] = {**d["meta"], key: {**d["meta"][key], "blobs": list(range(len(blobs), len(blobs) + len(extra)))}}
+        blobs = [*blobs, *extra]
     _bundle.write(path, description, blobs, functools.partial(_keeps, profiles))
     return description
 

@@ -108,6 +108,7 @@ class Device:
     timestamp_period, timestamp_bits                   ns a tick; valid bits of a timestamp, 0 if the queue has none
     memory_types, heaps           [(flags, heap index)]; [(bytes, flags)]
     instance, physical, device, queue, queue_family    handles and the family's index
+    compute                       whether the queue takes dispatches, too
     messages                      what the validation layer said; still there after `close`
     lock, process                 around every use of the queue, which sessions share; the process that opened it
     """
@@ -134,9 +135,11 @@ class Device:
         self.memory_types = [(t.propertyFlags, t.heapIndex) for t in memory.memoryTypes[:memory.memoryTypeCount]]
         self.heaps = [(h.size, h.flags) for h in memory.memoryHeaps[:memory.memoryHeapCount]]
         self._read_driver(version)
+        self.compute = False
         for index, family in enumerate(vk.GetPhysicalDeviceQueueFamilyProperties(physical)):
-            if family.queueFlags & vk.VK_QUEUE_GRAPHICS_BIT and self.queue_family < 0:
-                self.queue_family, self.timestamp_bits = index, family.timestampValidBits
+            compute = bool(family.queueFlags & vk.VK_QUEUE_COMPUTE_BIT)
+            if family.queueFlags & vk.VK_QUEUE_GRAPHICS_BIT and (self.queue_family < 0 or compute > self.compute):
+                self.queue_family, self.timestamp_bits, self.compute = index, family.timestampValidBits, compute
 
     def _read_driver(self, version):
         self.driver_name = self.driver_info = self.device_uuid = self.driver_uuid = ""

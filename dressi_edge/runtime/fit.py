@@ -64,6 +64,8 @@ def _misfits(bundle: Bundle, device, kept: Sequence[Profile]) -> tuple[str, list
     for profile in kept:
         if lines := violations(d, profile, bundle.interfaces) or misfit(needs, profile):
             return profile.name, lines, 0
+    if d.get("computes") and not device.compute:
+        return device.name, [f"{device.name} has no queue that both draws and computes"], 0
     if line := too_large(d["images"], device):
         return device.name, [line], 0
     if all(image["format"] for image in d["images"]):

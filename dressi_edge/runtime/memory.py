@@ -173,6 +173,6 @@ class Staging:
 
 
 def region(record: dict, offset: int):
-    """The copy of a whole image to or from the staging buffer."""
-    return vk.VkBufferImageCopy(offset, 0, 0, (vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1), (0, 0, 0),
+    """The copy of an image, or of the part of it that lies at x, y, to or from the staging buffer."""
+    return vk.VkBufferImageCopy(offset, 0, 0, (vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1), (record.get("x", 0), record.get("y", 0), 0),
                                 (record["width"], record["height"], 1))

@@ -1,19 +1,31 @@
 """Render passes, shader modules, layouts and pipelines of a bundle; each distinct one once."""
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from ..cache import vulkan as v
 from . import vk
 
 _ALL_PIPELINE_STAGES = (vk.VK_PIPELINE_STAGE_COLOR_ATTACHMENT_OUTPUT_BIT | vk.VK_PIPELINE_STAGE_FRAGMENT_SHADER_BIT)
 
 
+class Compute(NamedTuple):
+    """One of the bundle's computes: handles, and (kind, sampler or -1) of each binding, the outputs after the rest."""
+
+    pipeline: int
+    layout: int
+    set_layout: int
+    bindings: tuple[tuple[int, int], ...]
+
+
 class Pipelines:
-    """`passes[k]`, `pipelines[k]`, `layouts[k]` (pipeline layout), `set_layouts[k]` for the bundle's pipeline k."""
+    """`passes[k]`, `pipelines[k]`, `layouts[k]` (pipeline layout), `set_layouts[k]` for the bundle's pipeline k; `computes[k]`."""
 
     def __init__(self, device, bundle, depth_format: int, cache: int = 0):
         self.device, self.d = device, bundle.description
         self.modules, self.samplers, self.passes = [], [], []
         self.set_layouts, self.layouts, self.pipelines = [], [], []
+        self.computes: list[Compute] = []
         self._shared: dict[tuple, tuple[int, int]] = {}
         try:
             for k in self.d["shaders"]:
@@ -30,6 +42,8 @@ class Pipelines:
                 self.layouts.append(layout)
             for k, p in enumerate(self.d["pipelines"]):
                 self.pipelines.append(self._pipeline(p, self.layouts[k], cache))
+            for c in self.d.get("computes", ()):
+                self.computes.append(self._compute(c, cache))
         except BaseException:
             self.close()
             raise
@@ -84,10 +98,19 @@ class Pipelines:
             layout=layout, renderPass=self.passes[p["pass"]], subpass=p["subpass"], basePipelineIndex=-1)
         return vk.CreateGraphicsPipelines(self.device.device, cache, [info])[0]
 
+    def _compute(self, c: dict, cache: int) -> Compute:
+        bindings = (*map(tuple, c["bindings"]), *((v.DESCRIPTOR_STORAGE_IMAGE, -1) for _ in c["outputs"]))
+        set_layout, layout = self._layout(tuple((kind, v.STAGE_COMPUTE, -1) for kind, _ in bindings))
+        info = vk.VkComputePipelineCreateInfo(
+            flags=vk.VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR * self.device.statistics,
+            stage=vk.VkPipelineShaderStageCreateInfo(stage=v.STAGE_COMPUTE, module=self.modules[c["shader"]], pName="main"),
+            layout=layout, basePipelineIndex=-1)
+        return Compute(vk.CreateComputePipelines(self.device.device, cache, [info])[0], layout, set_layout, bindings)
+
     def close(self) -> None:
         """Destroy pipelines, layouts, passes and samplers."""
         d = self.device.device
-        for pipeline in self.pipelines:
+        for pipeline in (*self.pipelines, *(c.pipeline for c in self.computes)):
             vk.DestroyPipeline(d, pipeline)
         for set_layout, layout in self._shared.values():
             vk.DestroyPipelineLayout(d, layout)
@@ -98,4 +121,4 @@ class Pipelines:
             vk.DestroySampler(d, sampler)
         for module in self.modules:
             vk.DestroyShaderModule(d, module)
-        self.pipelines, self._shared, self.passes, self.samplers, self.modules = [], {}, [], [], []
+        self.pipelines, self.computes, self._shared, self.passes, self.samplers, self.modules = [], [], {}, [], [], []

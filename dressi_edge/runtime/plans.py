@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..cache.bundle_plans import bound, written
 from ..cache.reactive import Rule
 from . import vk
 from .record import Recording
@@ -22,9 +23,7 @@ class Plan:
         values = description["values"]
         self.name, self.record, self.rule, self.kept = record["name"], record, rule, False
         self.states = tuple((values[k]["name"], values[k]["image"]) for k in record["updates"])
-        used = {ref // 2 for stage in record["stages"] for ref in stage["attachments"]}
-        subpasses = [draws for stage in record["stages"] for draws in stage["subpasses"]]
-        used |= {ref // 2 for draws in subpasses for draw in draws for ref in draw["images"]}
+        used = {ref // 2 for stage in record["stages"] for ref in (*written(stage), *bound(stage))}
         self.slots = tuple(k for k in sorted(used) if description["images"][k]["slots"] == 2)
         self.recordings: dict[tuple[int, ...], Recording] = {}
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import ctypes
 import struct
 
+from ..cache import vulkan as v
 from . import vk
 from .memory import find_memory
 
@@ -18,18 +19,22 @@ READS = (vk.VK_ACCESS_SHADER_READ_BIT | vk.VK_ACCESS_INPUT_ATTACHMENT_READ_BIT |
          | vk.VK_ACCESS_DEPTH_STENCIL_ATTACHMENT_READ_BIT | vk.VK_ACCESS_TRANSFER_READ_BIT)
 
 
-def wait(commands: int) -> None:
-    """Everything after sees everything before."""
-    vk.CmdPipelineBarrier(commands, WAIT_STAGES, WAIT_STAGES, 0, pMemoryBarriers=[
-        vk.VkMemoryBarrier(srcAccessMask=WRITES, dstAccessMask=READS | WRITES)])
+def wait(commands: int, compute: bool = False) -> None:
+    """Everything after sees everything before, `compute` shaders among it."""
+    stages = WAIT_STAGES | vk.VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT * compute
+    writes = WRITES | vk.VK_ACCESS_SHADER_WRITE_BIT * compute
+    vk.CmdPipelineBarrier(commands, stages, stages, 0, pMemoryBarriers=[
+        vk.VkMemoryBarrier(srcAccessMask=writes, dstAccessMask=READS | writes)])
 
 
 class _Counts:
-    """A buffer of one draw command for each draw whose number of vertices is found on the device."""
+    """A buffer of one command for each draw or dispatch of which the device finds how much there is to do: its number of vertices, or of
+    workgroups along x."""
 
-    SIZE = 16  # VkDrawIndirectCommand: vertices, instances, first vertex, first instance
+    SIZE = 16  # VkDrawIndirectCommand: vertices, instances, first vertex, first instance; VkDispatchIndirectCommand: x, y, z
 
-    def __init__(self, device, draws: int):
+    def __init__(self, device, commands: list[tuple[int, int, int, int]]):
+        draws = len(commands)
         self.device, self.used = device, 0
         self.buffer = vk.CreateBuffer(device.device, vk.VkBufferCreateInfo(
             size=self.SIZE * draws, usage=vk.VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT | vk.VK_BUFFER_USAGE_TRANSFER_DST_BIT,
@@ -41,7 +46,7 @@ class _Counts:
             self.memory = vk.AllocateMemory(device.device, vk.VkMemoryAllocateInfo(allocationSize=q.size, memoryTypeIndex=kind))
             vk.BindBufferMemory(device.device, self.buffer, self.memory, 0)
             address = vk.MapMemory(device.device, self.memory, 0, self.SIZE * draws)
-            ctypes.memmove(address, struct.pack("<4I", 0, 1, 0, 0) * draws, self.SIZE * draws)
+            ctypes.memmove(address, b"".join(struct.pack("<4I", *command) for command in commands), self.SIZE * draws)
             vk.UnmapMemory(device.device, self.memory)
         except BaseException:
             self.close()
@@ -68,6 +73,7 @@ class Recording:
 
     def __init__(self, device, pool: int, bundle, images, pipelines, plan: dict, parity: dict[int, int], timestamps: int = 0):
         self.device, self.d, self.images, self.pipelines, self.parity = device, bundle.description, images, pipelines, parity
+        self.compute = bool(self.d.get("computes"))
         self.framebuffers: list[int] = []
         self.descriptor_pool = 0
         self.counts: _Counts | None = None
@@ -89,16 +95,20 @@ class Recording:
 
     def _record(self, plan: dict, timestamps: int) -> None:
         device = self.device.device
-        draws = [draw for stage in plan["stages"] for subpass in stage["subpasses"] for draw in subpass]
+        dispatches = [stage for stage in plan["stages"] if "compute" in stage]
+        draws = [draw for stage in plan["stages"] if "compute" not in stage for subpass in stage["subpasses"] for draw in subpass]
         counts: dict[int, int] = {}
-        for draw in draws:
-            for kind, _, _ in self.d["pipelines"][draw["pipeline"]]["bindings"]:
-                counts[kind] = counts.get(kind, 0) + 1
+        for kind in (*(kind for draw in draws for kind, _, _ in self.d["pipelines"][draw["pipeline"]]["bindings"]),
+                     *(kind for stage in dispatches for kind, _ in self.pipelines.computes[stage["compute"]].bindings)):
+            counts[kind] = counts.get(kind, 0) + 1
         self.descriptor_pool = vk.CreateDescriptorPool(device, vk.VkDescriptorPoolCreateInfo(
-            maxSets=max(1, len(draws)), pPoolSizes=[(kind, n) for kind, n in counts.items()] or [(2, 1)]))
-        counted = sum(draw["count"] >= 0 for draw in draws)
-        if counted:
-            self.counts = _Counts(self.device, counted)
+            maxSets=max(1, len(draws) + len(dispatches)), pPoolSizes=[(kind, n) for kind, n in counts.items()] or [(2, 1)]))
+        commands = []
+        for stage in plan["stages"]:
+            commands += [(0, *stage["groups"][1:], 0)] if "compute" in stage and stage["count"] >= 0 else [] if "compute" in stage else \
+                [(0, 1, 0, 0) for draws in stage["subpasses"] for draw in draws if draw["count"] >= 0]
+        if commands:
+            self.counts = _Counts(self.device, commands)
         self.commands = vk.AllocateCommandBuffers(device, vk.VkCommandBufferAllocateInfo(
             commandPool=self.pool, level=vk.VK_COMMAND_BUFFER_LEVEL_PRIMARY, commandBufferCount=1))[0]
         vk.BeginCommandBuffer(self.commands, vk.VkCommandBufferBeginInfo(flags=vk.VK_COMMAND_BUFFER_USAGE_SIMULTANEOUS_USE_BIT))
@@ -113,14 +123,17 @@ class Recording:
 
     def _stage(self, stage: dict) -> None:
         device, c = self.device.device, self.commands
+        if stage["wait"]:
+            wait(c, self.compute)
+        if "compute" in stage:
+            self._dispatch(stage)
+            return
         width, height = stage["width"], stage["height"]
         framebuffer = vk.CreateFramebuffer(device, vk.VkFramebufferCreateInfo(
             renderPass=self.pipelines.passes[stage["pass"]], pAttachments=[self._view(ref) for ref in stage["attachments"]],
             width=width, height=height, layers=1))
         self.framebuffers.append(framebuffer)
-        if stage["wait"]:
-            wait(c)
-        offsets = self._copy_counts(stage)
+        offsets = self._copy_counts([draw for draws in stage["subpasses"] for draw in draws])
         clears = []
         for a in self.d["passes"][stage["pass"]]["attachments"]:
             value = vk.VkClearValue()
@@ -140,10 +153,34 @@ class Recording:
                 self._draw(draw, offsets)
         vk.CmdEndRenderPass(c)
 
-    def _copy_counts(self, stage: dict) -> list[int]:
-        """Where the commands of this stage's counted draws are, in order, each filled from its image."""
+    def _dispatch(self, stage: dict) -> None:
+        """The outputs that are to be, cleared; then the workgroups."""
+        c, compute = self.commands, self.pipelines.computes[stage["compute"]]
+        cleared = False
+        for ref, output in zip(stage["outputs"], self.d["computes"][stage["compute"]]["outputs"]):
+            if output["load"] == v.LOAD_CLEAR:
+                image, slot = self._slot(ref)
+                value = vk.VkClearColorValue()
+                for channel in range(4):
+                    value.int32[channel] = output["clear"]
+                vk.CmdClearColorImage(c, self.images.handles[image][slot], vk.VK_IMAGE_LAYOUT_GENERAL, value,
+                                      [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
+                cleared = True
+        offsets = self._copy_counts([stage])
+        if cleared:
+            wait(c, True)
+        vk.CmdBindPipeline(c, vk.VK_PIPELINE_BIND_POINT_COMPUTE, compute.pipeline)
+        descriptors = self._descriptors(compute.set_layout, compute.bindings, [*stage["images"], *stage["outputs"]])
+        vk.CmdBindDescriptorSets(c, vk.VK_PIPELINE_BIND_POINT_COMPUTE, compute.layout, 0, [descriptors], [])
+        if offsets:
+            vk.CmdDispatchIndirect(c, self.counts.buffer, offsets[0])
+        else:
+            vk.CmdDispatch(c, *stage["groups"])
+
+    def _copy_counts(self, draws: list[dict]) -> list[int]:
+        """Where the commands of the counted ones of these draws or dispatches are, in order, each filled from its image."""
         offsets = []
-        for draw in (draw for draws in stage["subpasses"] for draw in draws if draw["count"] >= 0):
+        for draw in (draw for draw in draws if draw["count"] >= 0):
             image, slot = self._slot(draw["count"])
             offsets.append(self.counts.copy(self.commands, self.images.handles[image][slot], self.d["images"][image]))
         if offsets:
@@ -167,13 +204,19 @@ class Recording:
                 vk.CmdDraw(c, draw["vertices"], 1, 0, view)
 
     def _set(self, draw: dict) -> int:
-        device, number = self.device.device, draw["pipeline"]
+        number = draw["pipeline"]
+        bindings = [(kind, sampler) for kind, _, sampler in self.d["pipelines"][number]["bindings"]]
+        return self._descriptors(self.pipelines.set_layouts[number], bindings, draw["images"])
+
+    def _descriptors(self, layout: int, bindings, refs: list[int]) -> int:
+        """A set of these images; a binding is its kind and its sampler or -1."""
+        device = self.device.device
         descriptors = vk.AllocateDescriptorSets(device, vk.VkDescriptorSetAllocateInfo(
-            descriptorPool=self.descriptor_pool, pSetLayouts=[self.pipelines.set_layouts[number]]))[0]
+            descriptorPool=self.descriptor_pool, pSetLayouts=[layout]))[0]
         vk.UpdateDescriptorSets(device, [vk.VkWriteDescriptorSet(
             dstSet=descriptors, dstBinding=k, descriptorType=kind, pImageInfo=[vk.VkDescriptorImageInfo(
                 self.pipelines.samplers[sampler] if sampler >= 0 else 0, self._view(ref), vk.VK_IMAGE_LAYOUT_GENERAL)])
-            for k, (ref, (kind, _, sampler)) in enumerate(zip(draw["images"], self.d["pipelines"][number]["bindings"]))])
+            for k, (ref, (kind, sampler)) in enumerate(zip(refs, bindings))])
         return descriptors
 
     def close(self) -> None:

@@ -5,7 +5,8 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..cache import bundle as bundles
 from ..cache import vjp
 from ..cache.copies import ENTER, LEAVE, OUTPUT, PHASE
 from ..cache.errors import BundleError, DeviceError, InputError
-from ..cache.layout import CHANNELS, Layout, is_int
+from ..cache.layout import Layout, is_int
 from ..cache.profile import Profile
 from ..cache.reactive import Reactive, Rule
 from ..cache.steps import bounded, check_step
@@ -22,16 +23,16 @@ from . import checkpoint as checkpoints
 from . import vk
 from .device import Device
 from .emulate import EmulatedDevice
+from .fed import KIND, Fed
 from .fit import choose
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
 from .plans import Plan, profile_stages
 from .record import Recording
-from .transfer import batches, clear, download, upload
+from .transfer import Fill, batches, clear, download, read, upload
 from .work import Work
 
-KIND = (np.float32, np.int32)
 MAX_SUBMIT = 1 << 16  # iterations in one submission
 
 
@@ -83,7 +84,9 @@ def _serial(method):
 
 class Session:
     """A context manager. Calls from several threads run one after another; docs/embedding.md tells what each error leaves.
-    `bundle`: the variant that runs, of those of the one that was given."""
+    `bundle`: the variant that runs, of those of the one that was given. real: the type of its numbers."""
+
+    real = np.float32
 
     def __init__(self, bundle: bundles.Bundle, device: Device | EmulatedDevice, owns_device: bool = False,
                  profile: str | None = None):
@@ -99,6 +102,7 @@ class Session:
         self._layouts = {name: _layout(value) for name, value in self.values.items()}
         self.plans = {plan["name"]: plan for plan in self._d["plans"]}
         self._reactive = Reactive(self._d)
+        self._fed = Fed(self)
         self._plans = {plan["name"]: Plan(plan, self._d, self._reactive.rules[plan["name"]]) for plan in self._d["plans"]}
         self._giver = {name: plan for plan in reversed(self._plans.values()) for name in plan.rule.outputs}
         self.phases = [plan.name for plan in self._plans.values() if plan.rule.kind == PHASE]
@@ -118,9 +122,10 @@ class Session:
     # ---- opening and closing
 
     def _open(self) -> None:
-        self._work, self._staging = Work(self.device), Staging(self.device)
+        self._work, self._staging = Work(self.device, bool(self._d.get("computes"))), Staging(self.device)
         self._images = Images(self.device, self._d["images"], self._depth_format)
-        self._work.begin(functools.partial(clear, self._images))  # the device does this while the driver compiles
+        self._work.begin(functools.partial(clear, self._images, compute=self._work.compute))
+        # the device does this while the driver compiles
         try:
             self._store = PipelineStore(self.device, self.bundle.digest)
             self._pipelines = Pipelines(self.device, self.bundle, self._depth_format, self._store.handle)
@@ -158,7 +163,7 @@ class Session:
                 for recording in plan.recordings.values():
                     recording.close()
                 plan.recordings = {}
-            for part in (self._pipelines, self._store, self._images, self._staging, self._work):
+            for part in (self._fed, self._pipelines, self._store, self._images, self._staging, self._work):
                 if part is not None:
                     part.close()
         if self._owns_device:
@@ -197,54 +202,132 @@ class Session:
     def shape(self, name: str) -> tuple[int, ...]:
         """The array shape of a value."""
         self._value(name, ("input", "state", "output"))
-        return self._layouts[name].shape
+        shape = self._layouts[name].shape
+        return self._fed.shape(name, shape) if self._fed.has(name) else shape
 
-    def set(self, name: str, array) -> None:
-        """Give an input or state a new value: an array of `shape(name)`. InputError for a wrong shape, type, NaN, Inf, or
-        numbers that are infinite in fp32, or in fp16 if it is stored so."""
-        value = self._value(name, ("input", "state"))
-        stored = self._stored(value)
-        pixels = self._layouts[name].to_image(array, name, stored is np.float16)
-        if CHANNELS[value["type"]] == 3:
-            pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1])], 2)
-        self._put({name: np.ascontiguousarray(pixels, stored)})
+    def set(self, name: str, array, view: int | None = None) -> None:
+        """Give an input or state a new value: an array of `shape(name)`; view: of pictures one, which costs that one alone. InputError for
+        a wrong shape, type, NaN, Inf, or numbers that are infinite in fp32, or in fp16 if it is stored so."""
+        if view is None:
+            self.set_all({name: array})
+        else:
+            self._fed.set(name, array, view)
+
+    def pictures(self, read: Callable[[int], np.ndarray]) -> None:
+        """Where the pictures come from that the bundle does not have: `read(k)` gives picture k, (height, width, 4), as its file has it
+        (uint8) or as shaders see it (float); called on other threads, for each when it is needed. Raises InputError where all of them are
+        on the device from the start."""
+        self._usable()
+        self._fed.pictures(read)
+
+    def ready(self) -> None:
+        """Raises InputError where the bundle needs pictures that nobody has given, rather than at the first step."""
+        self._usable()
+        self._fed.ready()
+
+    def set_all(self, arrays: Mapping[str, object]) -> None:
+        """`set` of several in one submission: all of them or, after an error, none."""
+        copies, fed = [], []
+        for name, array in arrays.items():
+            value = self._value(name, ("input", "state"))
+            if name == self._fed.name:
+                fed.append(array)
+                continue
+            stored, layout = self._stored(value), self._layouts[name]
+            copies.append((name, functools.partial(self._fill, value, layout.checked(array, name, stored is np.float16))))
+        for array in fed:
+            self._fed.set(self._fed.name, array, None)
+        if copies:
+            self._put(copies)
 
     @_serial
-    def _put(self, arrays: dict[str, np.ndarray], more: tuple = ()) -> None:
+    def _put(self, copies: list[tuple[str, np.ndarray | Fill]], more: tuple = (), trim: bool = False, cells: Mapping = {}) -> None:  # noqa: B006
+        """cells: of a value the record of the part of its image that is meant."""
         self._work.settle()  # an interrupted step may yet flip a state
-        self._give_back(arrays)
-        upload(self._work, self._staging, [self._copy(self.values[name]["image"], data) for name, data in arrays.items()],
-               [*self._reactive.set(arrays), *more])
-        self._staging.trim(self._largest)
+        names = [name for name, _ in copies]
+        self._give_back(names)
+        upload(self._work, self._staging, [(*self._part(name, cells), data) for name, data in copies],
+               [*self._reactive.set(names), *self._fed.uncounted(names), *more])
+        if trim:
+            self._staging.trim(self._largest)
 
-    def get(self, name: str) -> np.ndarray:
-        """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed."""
-        value = self._value(name, ("input", "state", "output"))
-        return self._array(value, self._get(value)).astype(KIND[is_int(value["type"])])
+    def _part(self, name: str, cells: Mapping) -> tuple[int, dict]:
+        """Its current image, and the record of it or of the part that is meant."""
+        handle, image = self._handle(self.values[name]["image"])
+        return handle, cells.get(name, image)
 
-    def _array(self, value: dict, data: bytes) -> np.ndarray:
-        """The user's array of the bytes of its image."""
+    def get(self, name: str, view: int | None = None) -> np.ndarray:
+        """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed. view: of
+        pictures one alone, (height, width[, channels])."""
+        return self.get_all([name])[name] if view is None else self._fed.get(name, view)
+
+    def get_all(self, names: Iterable[str], into: Mapping[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
+        """`get` of several in one submission. into: arrays of their shapes to write some of them to, float32 or int32."""
+        found, readers = {}, {}
+        for name in dict.fromkeys(names):
+            value = self._value(name, ("input", "state", "output"))
+            out = None if into is None else into.get(name)
+            kind, shape = KIND[is_int(value["type"])], self.shape(name)
+            if self._fed.has(name):
+                kind = np.float32 if name == self._fed.name else kind
+            if out is not None and (out.shape != shape or out.dtype != kind or not out.flags.c_contiguous):
+                raise InputError(f"{name} is to be written into {out.dtype} {out.shape}; one piece of {np.dtype(kind)} {shape} is needed")
+            found[name] = np.empty(shape, kind) if out is None else out
+            if self._fed.has(name):
+                found[name][...] = self._fed.get(name, None)
+                continue
+            readers[name] = functools.partial(self._take, value, found[name])
+        if readers:
+            self._get(readers)
+        return found
+
+    def _pixels(self, value: dict, data: np.ndarray) -> np.ndarray:
+        """Its image (height, width, channels as stored) in these bytes."""
         image = self._d["images"][value["image"]]
-        pixels = np.frombuffer(data, self._stored(value)).reshape(image["height"], image["width"], -1)
-        return self._layouts[value["name"]].from_image(pixels[..., :CHANNELS[value["type"]]])
+        return data.view(self._stored(value)).reshape(image["height"], image["width"], -1)
+
+    def _fill(self, value: dict, array: np.ndarray, place: np.ndarray) -> None:
+        self._layouts[value["name"]].fill(self._pixels(value, place), array)
+
+    def _take(self, value: dict, out: np.ndarray, place: np.ndarray) -> None:
+        self._layouts[value["name"]].take(self._pixels(value, place), out)
 
     def _stored(self, value: dict) -> type:
         """The numbers in its image."""
         return np.float16 if self._d["images"][value["image"]]["format"] in HALF_FORMATS else KIND[is_int(value["type"])]
 
     @_serial
-    def _get(self, value: dict) -> bytes:
+    def _get(self, readers: Mapping[str, Fill], cells: Mapping = {}) -> None:  # noqa: B006
+        """cells: as of `_put`."""
         self._work.settle()
-        if value["role"] == "output":
-            plan = self._giver[value["name"]]
-            if not plan.states:
-                self._refresh(plan)
-            elif not self._runs[plan.name]:
-                raise InputError(f"{value['name']} is given out by {plan.name}, which has not run yet")
-        elif not self._reactive.given.get(value["name"], True):
-            raise InputError(f"{value['name']} has no value yet; set it first")
-        self._give_back([value["name"]])
-        return download(self._work, self._staging, [self._handle(value["image"])])[0]
+        for name in readers:
+            if self.values[name]["role"] == "output":
+                plan = self._giver[name]
+                if not plan.states:
+                    self._refresh(plan)
+                elif not self._runs[plan.name]:
+                    raise InputError(f"{name} is given out by {plan.name}, which has not run yet")
+            elif not self._reactive.given.get(name, True):
+                raise InputError(f"{name} has no value yet; set it first")
+        self._give_back(readers)
+        read(self._work, self._staging, [(*self._part(name, cells), reader) for name, reader in readers.items()])
+
+    # ---- for bridges into other people's loops (dressi_edge/bridges)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Calls of other threads wait until this context ends."""
+        self._usable()
+        with self._lock:
+            yield
+
+    def reads(self, plan: str) -> tuple[str, ...]:
+        """The inputs and states that a plan, and all that runs for it, depends on."""
+        return tuple(name for name in self._reactive.rules[plan].reads if name in self.values)
+
+    def version(self, name: str) -> int:
+        """Of an input or a state: another number after each change."""
+        return self._reactive.version[name]
 
     # ---- running
 
@@ -273,7 +356,8 @@ class Session:
         for name in plan.rule.needs:
             self._skipped[name] += name not in ran
 
-    def _ready(self, plan: Plan) -> None:
+    def _ready(self, plan: Plan, n: int = 1) -> None:
+        self._fed.fill(plan, n)
         if missing := self._reactive.missing(plan.rule):
             raise InputError(f"{plan.name} needs {' '.join(missing)}; set it first")
 
@@ -290,10 +374,13 @@ class Session:
                          timestamps)
 
     def _run(self, plan: Plan, n: int) -> None:
-        self._ready(plan)
-        self._work.settle()
-        self._prepare(plan)
-        self._submit(plan, n)
+        while n > 0:
+            k = min(n, self._fed.most(plan, MAX_SUBMIT))
+            self._ready(plan, k)
+            self._work.settle()
+            self._prepare(plan)
+            self._submit(plan, k)
+            n -= k
 
     def _submit(self, plan: Plan, n: int = 1) -> None:
         """Run a plan on what there is."""
@@ -309,7 +396,8 @@ class Session:
     def _stepped(self, plan: Plan, n: int) -> list:
         """What is true after n iterations."""
         flipped = () if plan.rule.kind == LEAVE else plan.states  # a leave writes in place
-        return [*self._reactive.ran(plan.rule), *((self._parity, image, self._parity[image] ^ n & 1) for _, image in flipped)]
+        swapped = [(self._parity, image, self._parity[image] ^ n & 1) for _, image in flipped]
+        return [*self._reactive.ran(plan.rule), *self._fed.stepped(plan, n), *swapped]
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         """Run n iterations of a phase (default: the current one) in one submission; how many were run.
@@ -338,8 +426,7 @@ class Session:
     @_serial
     def _step(self, n: int, phase: str | None) -> int:
         plan = self._choose(phase)
-        for first in range(0, n, MAX_SUBMIT):
-            self._run(plan, min(n - first, MAX_SUBMIT))
+        self._run(plan, n)
         return n
 
     def _chunk(self, plan: Plan, n: int) -> float:
@@ -379,7 +466,7 @@ class Session:
     def profile_stages(self, name: str, runs: int = 5) -> list[float]:
         """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps."""
         plan = self._plans[name]
-        self._ready(plan)
+        self._ready(plan, runs)
         self._prepare(plan)
 
         def record(timestamps: int) -> Recording:
@@ -403,14 +490,16 @@ class Session:
     def _kept(self, runs: dict[str, int], inputs: list[str]) -> list[str]:
         """The values that a checkpoint holds: states, inputs that were set, and what phases that have run gave out."""
         given = {name for phase in self.phases if runs[phase] for name in self._plans[phase].rule.outputs}
-        return [name for name, value in self.values.items() if value["role"] == "state" or name in given or name in inputs]
+        known = {*given, *inputs} - {self._fed.name}  # its pictures are known by the bundle, or whoever gives them
+        return [name for name, value in self.values.items() if value["role"] == "state" or name in known]
 
     def _not_finite(self, kept: checkpoints.Checkpoint) -> str:
         """Which input or state of it has numbers that `set` would refuse, in words; else nothing."""
         for name, data in kept.values.items():
             value = self.values[name]
             if value["role"] != "output" and not is_int(value["type"]):
-                if bad := np.count_nonzero(~np.isfinite(self._array(value, data))):
+                numbers = self._layouts[name].from_image(self._pixels(value, np.frombuffer(data, np.uint8)))
+                if bad := np.count_nonzero(~np.isfinite(numbers)):
                     return f"{name} has {bad} values that are NaN or Inf"
         return ""
 
@@ -437,11 +526,11 @@ class Session:
             raise BundleError(f"{os.fspath(path)}: the checkpoint's values are not those of this bundle")
         if bad := self._not_finite(found):
             raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
-        unset = [name for name in self._reactive.given if name not in inputs]
-        self._put({name: np.frombuffer(data, np.uint8) for name, data in found.values.items()},
+        unset = [name for name in self._reactive.given if name not in inputs and name != self._fed.name]
+        self._put([(name, np.frombuffer(data, np.uint8)) for name, data in found.values.items()],
                   (*((self._runs, name, n) for name, n in found.runs.items()),
                    *self._reactive.unset(unset),
-                   (self.__dict__, "phase", found.phase)))
+                   (self.__dict__, "phase", found.phase)), trim=True)
 
     @_serial
     def report(self) -> dict:
@@ -453,4 +542,5 @@ class Session:
                 "runs": dict(self._runs), "skipped": skipped,
                 "texels": self._d["meta"].get("texels", {}),
                 "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
-                "pipelines": len(self._d["pipelines"]), "pipeline_cache": self._store.state, "time": time.time()}
+                "pipelines": len(self._d["pipelines"]) + len(self._d.get("computes", ())), "pipeline_cache": self._store.state,
+                "time": time.time()}

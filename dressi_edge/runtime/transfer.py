@@ -1,10 +1,11 @@
 """Between NumPy and images: clearing, uploading and downloading whole images, several in one submission.
 
-In: `Work`, `Staging`, and for each image its handle, its record in the bundle and its bytes. Out: the bytes of images.
+In: `Work`, `Staging`, and for each image its handle, its record in the bundle and its bytes, or who writes or reads them in place. Out:
+the bytes of images.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,11 +17,12 @@ from .work import Change, Work
 ALIGN = 64  # of each image in the staging buffer; Vulkan asks for 4 and the size of a texel
 BATCH_BYTES = 8 << 20
 
-Copy = tuple[int, dict, np.ndarray]  # image handle, its record, its bytes as uint8
+Fill = Callable[[np.ndarray], None]  # writes, or reads, the bytes of an image where they lie in the staging buffer
+Copy = tuple[int, dict, np.ndarray | Fill]  # image handle, its record, its bytes as uint8
 
 
-def clear(images: Images, c: int) -> None:
-    """Bring every image to GENERAL, zero."""
+def clear(images: Images, c: int, compute: bool = False) -> None:
+    """Bring every image to GENERAL, zero; `compute`: dispatches may follow."""
     barriers, wipes = [], []
     for record, handles in zip(images.records, images.handles):
         aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
@@ -37,7 +39,7 @@ def clear(images: Images, c: int) -> None:
     for handle in wipes:
         vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
                               [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
-    wait(c)
+    wait(c, compute)
 
 
 def _offsets(sizes: list[int]) -> tuple[list[int], int]:
@@ -52,16 +54,21 @@ def _offsets(sizes: list[int]) -> tuple[list[int], int]:
 def upload(work: Work, staging: Staging, copies: Sequence[Copy], changes: Sequence[Change] = ()) -> None:
     """Fill images in one submission: all of them or, after an error, none."""
     work.settle()  # an interrupted transfer may still use the staging buffer
-    offsets, total = _offsets([data.nbytes for _, _, data in copies])
+    sizes = [image_bytes(record) for _, record, _ in copies]
+    offsets, total = _offsets(sizes)
     staging.reserve(total)
-    for offset, (_, _, data) in zip(offsets, copies):
-        staging.view[offset:offset + data.nbytes] = data
+    for offset, size, (_, _, data) in zip(offsets, sizes, copies):
+        place = staging.view[offset:offset + size]
+        if callable(data):
+            data(place)
+        else:
+            place[...] = data
 
     def copy(c: int) -> None:
-        wait(c)
+        wait(c, work.compute)
         for offset, (handle, record, _) in zip(offsets, copies):
             vk.CmdCopyBufferToImage(c, staging.buffer, handle, vk.VK_IMAGE_LAYOUT_GENERAL, [region(record, offset)])
-        wait(c)
+        wait(c, work.compute)
 
     work.once(copy, changes)
 
@@ -70,27 +77,35 @@ def batches(copies: Sequence[Copy]) -> list[list[Copy]]:
     """Copies in groups of `BATCH_BYTES` or one image, so that staging stays small."""
     groups, size = [[]], 0
     for copy in copies:
-        if groups[-1] and size + copy[2].nbytes > BATCH_BYTES:
+        if groups[-1] and size + image_bytes(copy[1]) > BATCH_BYTES:
             groups.append([])
             size = 0
         groups[-1].append(copy)
-        size += copy[2].nbytes
+        size += image_bytes(copy[1])
     return [group for group in groups if group]
 
 
 def download(work: Work, staging: Staging, images: Sequence[tuple[int, dict]]) -> list[bytes]:
     """The bytes of images (handle, record), all at one moment."""
+    kept: list[bytes] = []
+    read(work, staging, [(*image, lambda place: kept.append(place.tobytes())) for image in images])
+    return kept
+
+
+def read(work: Work, staging: Staging, images: Sequence[tuple[int, dict, Fill]]) -> None:
+    """Show each reader the bytes of its image (handle, record, reader), all at one moment."""
     work.settle()
-    sizes = [image_bytes(record) for _, record in images]
+    sizes = [image_bytes(record) for _, record, _ in images]
     offsets, total = _offsets(sizes)
     staging.reserve(total)
 
     def copy(c: int) -> None:
-        wait(c)
-        for offset, (handle, record) in zip(offsets, images):
+        wait(c, work.compute)
+        for offset, (handle, record, _) in zip(offsets, images):
             vk.CmdCopyImageToBuffer(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, staging.buffer, [region(record, offset)])
         vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TRANSFER_BIT, vk.VK_PIPELINE_STAGE_HOST_BIT, 0, pMemoryBarriers=[
             vk.VkMemoryBarrier(srcAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, dstAccessMask=vk.VK_ACCESS_HOST_READ_BIT)])
 
     work.once(copy)
-    return [staging.view[offset:offset + size].tobytes() for offset, size in zip(offsets, sizes)]
+    for offset, size, (_, _, reader) in zip(offsets, sizes, images):
+        reader(staging.view[offset:offset + size])

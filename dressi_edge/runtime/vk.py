@@ -1559,6 +1559,7 @@ _SIGNATURES = {
     "vkCmdDrawIndexed": "void handle u32 u32 u32 i32 u32",
     "vkCmdDrawIndirect": "void handle u64 u64 u32 u32",
     "vkCmdDispatch": "void handle u32 u32 u32",
+    "vkCmdDispatchIndirect": "void handle u64 u64",
     "vkCmdPipelineBarrier": "void handle u32 u32 u32 u32 VkMemoryBarrier* u32 VkBufferMemoryBarrier* u32 VkImageMemoryBarrier*",
     "vkCmdCopyBuffer": "void handle u64 u64 u32 VkBufferCopy*",
     "vkCmdCopyImage": "void handle u64 i32 u64 i32 u32 VkImageCopy*",
@@ -2046,6 +2047,10 @@ def CmdDrawIndirect(commandBuffer, buffer, offset, drawCount, stride):
 
 def CmdDispatch(commandBuffer, groupCountX, groupCountY, groupCountZ):
     _lib.vkCmdDispatch(commandBuffer, groupCountX, groupCountY, groupCountZ)
+
+
+def CmdDispatchIndirect(commandBuffer, buffer, offset):
+    _lib.vkCmdDispatchIndirect(commandBuffer, buffer, offset)
 
 
 def CmdPipelineBarrier(commandBuffer, srcStageMask, dstStageMask, dependencyFlags=0, pMemoryBarriers=None,

@@ -15,11 +15,11 @@ Change = tuple[dict, object, object]  # mapping, key, value
 
 
 class Work:
-    """A command pool, a fence and one command buffer for transfers. Not thread-safe: the session's lock is around it; the
-    queue, which sessions share, is under the device's lock."""
+    """A command pool, a fence and one command buffer for transfers; `compute`: there may be dispatches before and after. Not
+    thread-safe: the session's lock is around it; the queue, which sessions share, is under the device's lock."""
 
-    def __init__(self, device):
-        self.device, self.pool, self.fence = device, 0, 0
+    def __init__(self, device, compute: bool = False):
+        self.device, self.compute, self.pool, self.fence = device, compute, 0, 0
         self._changes: Sequence[Change] | None = None  # of what was submitted, or was about to be
         self._sent = False
         try:

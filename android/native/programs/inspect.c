@@ -18,18 +18,17 @@ static const char *size_text(double count, char buffer[24]) {
 /* Bytes a render pass moves between images and the GPU: every attachment it loads, every one it stores, and once a subpass every image
    that is sampled there. `seen` is by ref; `*mark` tells subpasses apart. */
 static uint64_t stage_bytes(const Variant *v, const Stage *stage, uint32_t *seen, uint32_t *mark) {
-    const Pass *pass = v->passes + stage->pass;
     uint64_t total = 0;
-    for (uint32_t k = 0; k < pass->attachment_count; k++) {
-        uint32_t times = (pass->attachments[k].load == 0) + (pass->attachments[k].store == 0);
-        total += times * image_bytes(v->images + stage->attachments.at[k] / 2);
+    for (uint32_t k = 0; k < stage->attachments.count; k++) {
+        bool stored = stage->compute >= 0 || v->passes[stage->pass].attachments[k].store == 0;
+        total += ((load_of(v, stage, k) == 0) + stored) * image_bytes(v->images + stage->attachments.at[k] / 2);
     }
-    for (uint32_t j = 0; j < pass->subpass_count; j++, ++*mark)
+    for (uint32_t j = 0; j < stage->subpass_count; j++, ++*mark)
         for (uint32_t d = 0; d < stage->subpasses[j].count; d++) {
             const Draw *draw = stage->subpasses[j].draws + d;
             for (uint32_t k = 0; k < draw->images.count; k++) {
                 uint32_t ref = draw->images.at[k];
-                if (v->pipelines[draw->pipeline].bindings[k].kind == 10 || seen[ref] == *mark) continue;
+                if ((stage->compute < 0 && v->pipelines[draw->pipeline].bindings[k].kind == 10) || seen[ref] == *mark) continue;
                 seen[ref] = *mark;
                 total += image_bytes(v->images + ref / 2);
             }
@@ -38,17 +37,22 @@ static uint64_t stage_bytes(const Variant *v, const Stage *stage, uint32_t *seen
 }
 
 static void show_stage(const Variant *v, const Stage *stage, uint32_t number, uint64_t bytes) {
-    const Pass *pass = v->passes + stage->pass;
     char size[24];
-    uint32_t draws = 0;
-    for (uint32_t j = 0; j < pass->subpass_count; j++)
+    uint32_t draws = 0, n = stage->attachments.count;
+    for (uint32_t j = 0; j < stage->subpass_count; j++)
         for (uint32_t d = 0; d < stage->subpasses[j].count; d++) draws += stage->subpasses[j].draws[d].cell_count;
-    printf("  %3u %5u x %-5u %u substages, %u draws, %s, attachments ", number, stage->width, stage->height, pass->subpass_count, draws,
-           size_text((double)bytes, size));
+    if (stage->compute < 0) {
+        printf("  %3u %5u x %-5u %u substages, %u draws, %s, attachments ", number, stage->width, stage->height, stage->subpass_count, draws,
+               size_text((double)bytes, size));
+    } else {
+        const Image *image = v->images + *stage->attachments.at / 2;
+        printf("  %3u %5u x %-5u 1 substages, compute, %u x %u x %u workgroups, %s, outputs ", number, image->width, image->height,
+               stage->groups[0], stage->groups[1], stage->groups[2], size_text((double)bytes, size));
+    }
     bool first = true;
-    for (uint32_t k = 0; k < pass->attachment_count; k++) {
+    for (uint32_t k = 0; k < n; k++) {
         uint32_t format = v->images[stage->attachments.at[k] / 2].format, count = 0, before = 0;
-        for (uint32_t j = 0; j < pass->attachment_count; j++) {
+        for (uint32_t j = 0; j < n; j++) {
             bool same = v->images[stage->attachments.at[j] / 2].format == format;
             count += same, before += same && j < k;
         }
@@ -61,17 +65,17 @@ static void show_stage(const Variant *v, const Stage *stage, uint32_t number, ui
 
 static void show_plan(const Variant *v, const Plan *plan, uint32_t *seen, uint32_t *mark) {
     char size[24];
-    bool *used = calloc(v->pipeline_count + 1, 1);
+    bool *used = calloc((uint64_t)v->pipeline_count + v->compute_count + 1, 1);
     uint64_t *bytes = calloc(plan->stage_count + 1, sizeof *bytes), total = 0;
     uint32_t substages = 0, pipelines = 0;
     if (!used || !bytes) exit(DRESSI_MEMORY);
     for (uint32_t s = 0; s < plan->stage_count; s++) {
         const Stage *stage = plan->stages + s;
-        substages += v->passes[stage->pass].subpass_count;
+        substages += stage->subpass_count;
         total += bytes[s] = stage_bytes(v, stage, seen, mark);
-        for (uint32_t j = 0; j < v->passes[stage->pass].subpass_count; j++)
+        for (uint32_t j = 0; j < stage->subpass_count; j++)
             for (uint32_t d = 0; d < stage->subpasses[j].count; d++) {
-                uint32_t pipeline = stage->subpasses[j].draws[d].pipeline;
+                uint32_t pipeline = stage->compute < 0 ? stage->subpasses[j].draws[d].pipeline : v->pipeline_count + (uint32_t)stage->compute;
                 pipelines += !used[pipeline];
                 used[pipeline] = true;
             }
@@ -91,7 +95,7 @@ static void show_variant(const Variant *v) {
     uint32_t *seen = calloc(2 * (uint64_t)v->image_count + 1, sizeof *seen), mark = 1;
     if (!seen) exit(DRESSI_MEMORY);
     for (uint32_t k = 0; k < v->image_count; k++) bytes += image_bytes(v->images + k) * v->images[k].slots;
-    printf("profile %s: %u plans, %u pipelines, %u shaders, %u images of %s\n\n", v->profile, v->plan_count, v->pipeline_count,
+    printf("profile %s: %u plans, %u pipelines, %u shaders, %u images of %s\n\n", v->profile, v->plan_count, v->pipeline_count + v->compute_count,
         v->shaders.count,
            v->image_count, size_text((double)bytes, size));
     for (uint32_t k = 0; k < v->plan_count; k++) show_plan(v, v->plans + k, seen, &mark);

@@ -31,8 +31,8 @@ class Image:
 
 @dataclass(frozen=True)
 class PlacedStage:
-    """attachments: refs (2 image + slot), the outputs of each substage in order; depth: the ref of a depth image or -1; wait: whether a
-    stage before it must have ended."""
+    """attachments: refs (2 image + slot), the outputs of each substage in order, of a dispatch those it writes; depth: the ref of a depth
+    image or -1; wait: whether a stage before it must have ended."""
 
     attachments: tuple[int, ...]
     depth: int
@@ -157,7 +157,7 @@ def _stage(stage: Stage, refs: dict[Node, int], images: _Images, hazards: _Hazar
     depth = -1
     for k, s in enumerate(stage.substages):
         for n in s.outputs:
-            images.use(refs[n] // 2, v.USAGE_COLOR)
+            images.use(refs[n] // 2, v.USAGE_STORAGE if s.compute else v.USAGE_COLOR)
             attachments[refs[n]] = None
         inner = merged_reads(stage.substages[:k], s)
         for nodes, usage in ((s.images, v.USAGE_SAMPLED), (s.counts, v.USAGE_TRANSFER_SRC)):

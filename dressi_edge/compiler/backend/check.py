@@ -14,6 +14,7 @@ from ...cache.errors import DressiError
 from ...cache.profile import Profile
 from ..graph.ir import Node, is_int, topological
 from ..graph.program import Program
+from ..passes.compute import hindrance
 from ..passes.groups import Group
 from ..passes.plans import ENTER, LEAVE, PHASE, PREPARE, PackedPlan, PlanGraph
 from ..passes.substage import FULL, KEPT, LISTED, TEXELS, TILES, Substage, excess, is_inline, is_leaf
@@ -79,7 +80,7 @@ def _packed(plan: PackedPlan, profile: Profile, naive: bool = False) -> None:
         for s in stage.substages:
             where = f"{graph.name}: stage {k} ({' '.join(n.op.name for n in s.outputs)})"
             _that((s.extent.width, s.extent.height) == (stage.extent.width, stage.extent.height), f"{where} is of another size")
-            lines = [] if naive else excess(s, profile)
+            lines = [hindrance(stage, profile)] if s.compute and hindrance(stage, profile) else [] if naive else excess(s, profile)
             _that(not lines, f"{where} {'; '.join(lines)}")
             _domain(where, s, graph.kind == LEAVE)
             _that(all(is_leaf(x) or x in there for x in s.images), f"{where} reads what is not written before it")

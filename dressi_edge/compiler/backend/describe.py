@@ -15,17 +15,18 @@ from ..graph.formats import format_number
 from ..graph.ir import CHANNELS, Node, is_int
 from ..graph.program import Program
 from ..passes.plans import PackedPlan
-from ..passes.substage import KEPT, Stage
+from ..passes.substage import KEPT, Stage, Substage
 from .allocate import Allocation, Image, PlacedPlan, PlacedStage, is_copy
 from .emit import ATTACHMENT, SAMPLER, Binding, Code, DrawCode
 
-Shader = tuple[str, str]  # "vert" or "frag", and its GLSL
+LARGE_ZERO = 1 << 16  # bytes from which a state that starts with zeros is not in the file
+
+Shader = tuple[str, str]  # "vert", "frag" or "comp", and its GLSL
 
 
 def shaders(code: Sequence[Sequence[Sequence[Code]]]) -> list[Shader]:
     """The distinct shaders of all plans, in order of first use."""
-    return list(dict.fromkeys(shader for plan in code for stage in plan for c in stage for d in c.draws
-                              for shader in (("vert", d.vertex), ("frag", d.fragment))))
+    return list(dict.fromkeys(shader for plan in code for stage in plan for c in stage for shader in c.shaders))
 
 
 def describe(program: Program, plans: Sequence[PackedPlan], code: Sequence[Sequence[Sequence[Code]]], places: Allocation,
@@ -40,6 +41,7 @@ def describe(program: Program, plans: Sequence[PackedPlan], code: Sequence[Seque
     return {"meta": program.meta, "images": images, "samplers": tables.samplers.records,
             "shaders": [blobs.add(spirv[shader]) for shader in tables.shaders],
             "passes": tables.passes.records, "pipelines": tables.pipelines.records,
+            **({"computes": tables.computes.records} if tables.computes.records else {}),
             "values": values, "plans": described}, blobs.made
 
 
@@ -62,7 +64,7 @@ class _Tables:
 
     def __init__(self, code: Sequence[Sequence[Sequence[Code]]]):
         self.shaders = {shader: k for k, shader in enumerate(shaders(code))}
-        self.samplers, self.passes, self.pipelines = _Table(), _Table(), _Table()
+        self.samplers, self.passes, self.pipelines, self.computes = _Table(), _Table(), _Table(), _Table()
 
 
 class _Table:
@@ -101,8 +103,9 @@ def _values(program: Program, plans: Sequence[PackedPlan], places: Allocation, b
     values = []
     for name, value in program.values.items():
         half = value.node.half is not None
-        initial = None if value.initial is None else blobs.add(
-            _texels(value.layout.to_image(value.initial, name, half), value.layout.vtype, half))
+        texels = None if value.initial is None else _texels(value.layout.to_image(value.initial, name, half), value.layout.vtype, half)
+        zero = program.roles[name] == "state" and texels is not None and len(texels) >= LARGE_ZERO and texels.count(0) == len(texels)
+        initial = None if texels is None or zero else blobs.add(texels)  # a state without is zero
         values.append(record(name, program.roles[name], value.layout, initial))
     copies = dict.fromkeys(x for plan in plans for x in plan.graph.targets if isinstance(x, Node) and is_copy(program, x))
     return values + [record(x.attrs["name"], "copy", Layout("image", x.vtype, x.extent.width, x.extent.height), None) for x in copies]
@@ -119,6 +122,8 @@ def _plan(plan: PackedPlan, code: Sequence[Sequence[Code]], where: PlacedPlan, t
 
 
 def _stage(stage: Stage, code: Sequence[Code], placed: PlacedStage, refs: Mapping[Node, int], tables: _Tables) -> dict:
+    if stage.compute:
+        return _dispatch(stage.substages[0], code[0], placed, refs, tables)
     attached = list(placed.attachments)
     attachments = [_attachment(n, outside) for s in stage.substages for n, outside in zip(s.outputs, s.domain.outside)]
     if placed.depth >= 0:
@@ -132,6 +137,16 @@ def _stage(stage: Stage, code: Sequence[Code], placed: PlacedStage, refs: Mappin
     number = tables.passes.number({"attachments": attachments, "subpasses": subpasses})
     return {"pass": number, "width": stage.extent.width, "height": stage.extent.height, "attachments": attached, "wait": placed.wait,
             "subpasses": [[_draw(d, c.bindings, refs, number, k, stage, tables) for d in c.draws] for k, c in enumerate(code)]}
+
+
+def _dispatch(s: Substage, code: Code, placed: PlacedStage, refs: Mapping[Node, int], tables: _Tables) -> dict:
+    """A stage of compute. Its shader writes every texel that somebody reads: nothing is cleared."""
+    outputs = [{"format": format_number(n), "load": v.LOAD_LOAD if outside == KEPT else v.LOAD_DONT_CARE, "clear": 0}
+               for n, outside in zip(s.outputs, s.domain.outside)]
+    bindings = [[kind, sampler] for kind, _, sampler in (_binding(b, tables) for b in code.bindings)]
+    number = tables.computes.number({"shader": tables.shaders["comp", code.dispatch.shader], "bindings": bindings, "outputs": outputs})
+    return {"compute": number, "groups": list(code.dispatch.groups), "images": [refs[b.node] for b in code.bindings],
+            "outputs": list(placed.attachments), "count": -1, "wait": placed.wait}
 
 
 def _attachment(n: Node, outside: int | str | None) -> dict:

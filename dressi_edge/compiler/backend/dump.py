@@ -105,7 +105,7 @@ def _packed(plan: PackedPlan) -> str:
     names, lines = Names(), [_head(plan.graph)]
     for k, stage in enumerate(plan.stages):
         for j, s in enumerate(stage.substages):
-            lines += [f"  stage {k} substage {j}: {_extent(s.extent)}{_domain(s.domain, names)}",
+            lines += [f"  stage {k} substage {j}: {_extent(s.extent)}{_domain(s.domain, names)}{', compute' if s.compute else ''}",
                       "    reads " + (" ".join(f"{names.of(x)}:{mode}" for x, mode in s.reads) or "nothing"),
                       *(f"  {line}" for line in _lines(names, s.nodes)),
                       "    writes " + " ".join(_output(n, outside, names) for n, outside in zip(s.outputs, s.domain.outside))]

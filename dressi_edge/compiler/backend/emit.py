@@ -1,4 +1,4 @@
-"""A substage to GLSL: one vertex and one fragment shader a draw, and what they bind.
+"""A substage to GLSL: one vertex and one fragment shader a draw, or one compute shader, and what they bind.
 
 In: packed stages with their domains, the profile. Out: `Code` of each substage: shader texts and bindings in order. Names are local
 numbers, so equal substages
@@ -15,9 +15,14 @@ from ..graph.formats import format_of
 from ..graph.ir import UNIT, Extent, Node, is_int
 from ..graph.ops.leaf import literal_glsl
 from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
-from ..passes.substage import LISTED, TEXELS, TILES, Stage, Substage, merged_reads
+from ..passes.compute import NARROW, groups, local_size
+from ..passes.substage import KEPT, LISTED, TEXELS, TILES, Stage, Substage, merged_reads
 
 SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
+
+# layout qualifiers of storage images
+_STORED = {"R32_SFLOAT": "r32f", "R32_SINT": "r32i", "R32G32B32A32_SFLOAT": "rgba32f", "R32G32B32A32_SINT": "rgba32i",
+           "R16G16B16A16_SFLOAT": "rgba16f"}
 
 _HEAD = "#version 450\n#extension GL_EXT_samplerless_texture_functions : require\n"
 FULLSCREEN = _HEAD + """void main() {
@@ -84,11 +89,27 @@ class _Names(dict):
 
 
 @dataclass(frozen=True)
+class DispatchCode:
+    """A dispatch: its shader, which binds the outputs after all others, and how many workgroups there are."""
+
+    shader: str
+    groups: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
 class Code:
-    """The draws of a substage and the images they bind, in binding order."""
+    """The draws or the dispatch of a substage and the images they bind, in binding order."""
 
     draws: tuple[DrawCode, ...]
     bindings: tuple[Binding, ...]
+    dispatch: DispatchCode | None = None
+
+    @property
+    def shaders(self) -> tuple[tuple[str, str], ...]:
+        """("vert", "frag" or "comp", text) of each."""
+        if self.dispatch:
+            return (("comp", self.dispatch.shader),)
+        return tuple(shader for d in self.draws for shader in (("vert", d.vertex), ("frag", d.fragment)))
 
 
 def _mark(text: str, names: dict) -> str:
@@ -145,10 +166,11 @@ class _Emitter:
         self.bindings[slot:slot + 1] = [Binding(x, SAMPLED, True, slot < len(self.bindings) and self.bindings[slot].fragment)]
         return slot
 
-    def declarations(self, vertex: bool) -> list[str]:
+    def declarations(self, vertex: bool | None) -> list[str]:
+        """Of what the vertex or the fragment shader binds; None: of all."""
         lines = []
         for k, b in enumerate(self.bindings):
-            if not (b.vertex if vertex else b.fragment):
+            if vertex is not None and not (b.vertex if vertex else b.fragment):
                 continue
             prefix = "i" if is_int(b.node.vtype) else ""
             if b.kind == ATTACHMENT:
@@ -231,7 +253,7 @@ class _Emitter:
             lines = self.block(self.stage.nodes)
             return self.loads() + lines
         first = self.block(domain.cone)
-        test = f"if ({self.value(domain.by)} == 0) discard;"
+        test = f"if ({self.value(domain.by)} == 0) {self.leave() if self.stage.compute else 'discard;'}"
         first = self.loads() + first
         self.own.clear()
         cone = set(domain.cone)
@@ -294,6 +316,42 @@ class _Emitter:
         vertex = "\n".join([_HEAD + "\n".join(self.declarations(True)), "void main() {", _mark(text, names), "}", ""])
         return DrawCode(vertex, fragment, vertices)
 
+    def leave(self) -> str:
+        """Of a compute shader, what is done at a texel where nothing is drawn."""
+        stores = [f"imageStore(o{k}, pixel, {'i' * is_int(n.vtype)}vec4({outside})); " for k, (n, outside) in
+                  enumerate(zip(self.stage.outputs, self.stage.domain.outside)) if outside not in (None, KEPT)]
+        return f"{{ {''.join(stores)}return; }}"
+
+    def compute(self) -> DispatchCode:
+        """The dispatch of a substage of texels, an invocation each."""
+        domain, extent, outputs = self.stage.domain, self.stage.extent, self.stage.outputs
+        (w, h), (width, height) = (extent.width, extent.height), local_size(extent)
+        if w < NARROW:
+            x, y = _place("at", w, h) if w > 1 else ("0", "at")
+            pixel = f"int at = int(gl_GlobalInvocationID.x); if (at >= {w * h}) return; ivec2 pixel = ivec2({x}, {y});"
+        else:
+            pixel = "ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);" + (
+                f" if (pixel.x >= {w} || pixel.y >= {h}) return;" if w % width or h % height else "")
+        body = self.pixel_body()
+        if domain.kind == LISTED:
+            of = domain.by.extent
+            i = f"pixel.y * {w} + pixel.x" if extent.column == w else \
+                f"pixel.x / {extent.column} * {extent.column * h} + pixel.y * {extent.column} + pixel.x % {extent.column}"
+            entries = f"T{self.bind_vertex(domain.by)}(ivec2({of.width - 1}, {of.height - 1}))"
+            body.insert(0, f"if ({i} >= {entries}) {self.leave()}")
+        elif domain.kind == TILES:
+            tiles = f"T{self.bind_vertex(domain.by)}(pixel / ivec2({domain.tile[0]}, {domain.tile[1]}))"
+            body.insert(0, f"if ({tiles} == 0) {self.leave()}")
+        outs, stores = [], []
+        for k, n in enumerate(outputs):
+            i, value = "i" * is_int(n.vtype), self.values[n] + _scale(n, 1)
+            whole = value if n.channels == 4 else f"{i}vec4({value}{', 0' * (4 - n.channels)})"
+            outs.append(f"layout(set = 0, binding = {len(self.bindings) + k}, {_STORED[format_of(n)]}) uniform writeonly {i}image2D o{k};")
+            stores.append(f"imageStore(o{k}, pixel, {whole});")
+        text = "\n".join([_HEAD + f"layout(local_size_x = {width}, local_size_y = {height}) in;", *self.declarations(None), *outs,
+                          *self.functions(), "void main() {", pixel, *body, *stores, "}", ""])
+        return DispatchCode(text, (*groups(extent), 1))
+
     def geometry(self) -> list[DrawCode]:
         """The draws of a raster op."""
         node, draws = self.stage.nodes[0], []
@@ -324,5 +382,8 @@ def emit(stages: Sequence[Stage], profile: Profile) -> tuple[tuple[Code, ...], .
 def emit_substage(stage: Substage, profile: Profile, inner: Collection[Node] = ()) -> Code:
     """The code of a substage. `inner` are read as input attachments, written by an earlier subpass of the same render pass."""
     e = _Emitter(stage, profile, inner)
+    if stage.compute:
+        dispatch = e.compute()
+        return Code((), tuple(e.bindings), dispatch)
     draws = e.geometry() if stage.raster else [e.pixels()]
     return Code(tuple(draws), tuple(e.bindings))

@@ -37,29 +37,48 @@ def needs(d: dict, profile: Profile, interfaces: Sequence[Interface] = (), grid:
             need("maxPerStageDescriptorSampledImages", sum(bool(b[1] & stage) for b in sampled))
             need("maxPerStageDescriptorSamplers", sum(bool(b[1] & stage) for b in samplers))
             need("maxPerStageResources", sum(bool(b[1] & stage) for b in p["bindings"]) + colors * (stage == v.STAGE_FRAGMENT))
-    for plan in d["plans"]:
-        for stage in plan["stages"]:
-            need("maxFramebufferWidth", stage["width"])
-            need("maxFramebufferHeight", stage["height"])
+    for c in d.get("computes", ()):
+        kinds = [kind for kind, _ in c["bindings"]]
+        samplers = kinds.count(v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER)
+        for of in ("maxPerStageDescriptor", "maxDescriptorSet"):
+            need(f"{of}SampledImages", len(kinds))
+            need(f"{of}Samplers", samplers)
+            need(f"{of}StorageImages", len(c["outputs"]))
+        need("maxPerStageResources", len(kinds) + len(c["outputs"]))
+    for stage in (stage for plan in d["plans"] for stage in plan["stages"] if "compute" not in stage):
+        need("maxFramebufferWidth", stage["width"])
+        need("maxFramebufferHeight", stage["height"])
     if grid:
         need("subPixelPrecisionBits", profile.limit("subPixelPrecisionBits"))
-    if any(b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER for p in d["pipelines"] for b in p["bindings"]):
+    if any(b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER for p in (*d["pipelines"], *d.get("computes", ())) for b in p["bindings"]):
         need("subTexelPrecisionBits", profile.limit("subTexelPrecisionBits"))
     for shader in interfaces:
+        if shader.stage == v.STAGE_COMPUTE:
+            x, y, z = shader.local_size
+            need("maxComputeWorkGroupInvocations", x * y * z)
+            need("maxComputeSharedMemorySize", shader.shared_bytes)
+            continue
         vertex = shader.stage == v.STAGE_VERTEX
         need("maxVertexOutputComponents" if vertex else "maxFragmentInputComponents",
              shader.output_components if vertex else shader.input_components)
     formats: dict[str, set[str]] = {}
-    filtered = {ref // 2 for plan in d["plans"] for stage in plan["stages"] for draws in stage["subpasses"] for draw in draws
-                for ref, b in zip(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"])
-                if b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER}
+    filtered = {ref // 2 for plan in d["plans"] for stage in plan["stages"] for images, bindings in _bound(stage, d)
+                for ref, b in zip(images, bindings) if b[0] == v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER}
     for k, image in enumerate(d["images"]):
         if image["format"]:
             wanted = formats.setdefault(v.FORMAT_NAMES[image["format"]], set())
-            wanted.update(f for bit, f in ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color")) if image["usage"] & bit)
+            wanted.update(f for bit, f in ((v.USAGE_SAMPLED, "sampled"), (v.USAGE_COLOR, "color"),
+                                                  (v.USAGE_STORAGE, "storage")) if image["usage"] & bit)
             if k in filtered:
                 wanted.add("filter")
     return {"limits": dict(sorted(limits.items())), "formats": {name: sorted(f) for name, f in sorted(formats.items())}}
+
+
+def _bound(stage: dict, d: dict) -> list[tuple[list, list]]:
+    """The images that each draw or dispatch of a stage reads, and their bindings."""
+    if "compute" in stage:
+        return [(stage["images"], d["computes"][stage["compute"]]["bindings"])]
+    return [(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"]) for draws in stage["subpasses"] for draw in draws]
 
 
 def shadowed(descriptions: list[dict]) -> dict[str, str]:

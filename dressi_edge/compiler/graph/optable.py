@@ -124,6 +124,7 @@ class Op:
     part: bool = False  # the result is some channels of its only input
     held: bool = False  # a leaf that the session holds by name: an input or a state
     listed: Callable | None = None  # of a node: `Listed`
+    dense: str = ""  # why of a texture that it samples, input 0, there can be no list
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
     covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none

@@ -6,7 +6,7 @@ refused here, when it is said.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -74,8 +74,8 @@ class Value:
 @dataclass(frozen=True)
 class PlanSpec:
     """One thing the session can run: the states it updates (by name) and the outputs it gives. `dynamic` names the leaves that change
-    between runs; what depends on none of them is computed once and kept, shared by the plans of a `group`; `steps` is how often to
-    run."""
+    between runs; what depends on none of them is computed once and kept, shared by the plans of a `group`. `moving` names leaves that
+    change every few runs: what depends on them is kept only where it costs much (`passes/specialize.py`). `steps` is how often to run."""
 
     name: str
     updates: Mapping[str, Node]
@@ -83,16 +83,18 @@ class PlanSpec:
     dynamic: frozenset[str]
     steps: int = 0
     group: str = ""
+    moving: frozenset[str] = frozenset()
 
 
 @dataclass
 class Program:
-    """The problem being built."""
+    """The problem being built. attached: bytes that its bundle carries for whoever reads meta, where a map of that name gets `blobs`."""
 
     values: dict[str, Value] = field(default_factory=dict)
     roles: dict[str, str] = field(default_factory=dict)
     plans: list[PlanSpec] = field(default_factory=list)
     meta: dict = field(default_factory=dict)
+    attached: dict[str, Sequence[bytes]] = field(default_factory=dict)
 
     def _leaf(self, role: str, name: str, layout: Layout, initial, narrow: bool = False) -> Node:
         check_name(role, name)
@@ -118,7 +120,7 @@ class Program:
         return self._leaf("state", name, layout, initial)
 
     def plan(self, name: str, updates: Mapping[str, Node] = {}, outputs: Mapping[str, tuple[Node, Layout]] = {},  # noqa: B006
-             dynamic: frozenset[str] | None = None, steps: int = 0, group: str = "") -> None:
+             dynamic: frozenset[str] | None = None, steps: int = 0, group: str = "", moving: frozenset[str] = frozenset()) -> None:
         """Add a plan. `outputs`: name -> (node, layout). `dynamic` defaults to the updated states; None of a plan without updates
         means that everything may change. Raises GraphError, and nothing is added then."""
         check_name("plan", name)
@@ -166,7 +168,7 @@ class Program:
             dynamic = frozenset(updates) or frozenset(n.name for n in leaves)
         self.values |= new
         self.roles |= dict.fromkeys(new, "output")
-        self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps, group))
+        self.plans.append(PlanSpec(name, dict(updates), {k: node for k, (node, _) in outputs.items()}, dynamic, steps, group, moving))
 
     def _check_losses(self, phase: str | None, new: Mapping[str, Value]) -> None:
         """An output called as a phase and ".loss" is what `Session.loss` and the command line take for one number."""

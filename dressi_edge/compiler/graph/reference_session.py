@@ -5,7 +5,11 @@ rounded; slow.
 """
 from __future__ import annotations
 
+import threading
 import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -29,7 +33,9 @@ class _Now(NamedTuple):
 
 
 class ReferenceSession:
-    """A context manager. Values are kept as images (height, width, channels)."""
+    """A context manager. Values are kept as images (height, width, channels). real: the type of its numbers."""
+
+    real = np.float64
 
     def __init__(self, program: Program):
         self.program = program
@@ -45,6 +51,7 @@ class ReferenceSession:
         self.device = SimpleNamespace(name="NumPy float64", driver="reference")
         self.phases = [spec.name for spec in program.plans if spec.updates]
         self.phase = self.phases[0] if self.phases else None
+        self._lock, self._versions = threading.RLock(), Counter()
         self._now = _Now({name: value.layout.to_image(value.initial, name, value.node.half is not None)
                           for name, value in program.values.items() if value.initial is not None}, {}, dict.fromkeys(self.specs, 0))
 
@@ -53,6 +60,9 @@ class ReferenceSession:
 
     def __exit__(self, *_) -> None:
         self.close()
+
+    def ready(self) -> None:
+        """There is nothing to wait for."""
 
     def close(self) -> None:
         """There is nothing to give back."""
@@ -67,29 +77,69 @@ class ReferenceSession:
         self._known(name, ("input", "state", "output"))
         return self.program.values[name].layout.shape
 
-    def set(self, name: str, array) -> None:
-        """Give an input or a state an array, as `Session.set`."""
-        self._known(name, ("input", "state"))
-        value = self.program.values[name]
-        self._now.feed[name] = value.layout.to_image(array, name, value.node.half is not None)
+    def set(self, name: str, array, view: int | None = None) -> None:
+        """Give an input or a state an array, or pictures one of them, as `Session.set`."""
+        if view is not None:
+            array = np.concatenate([(now := self.get(name))[:view], np.asarray(array)[None], now[view + 1:]])
+        self.set_all({name: array})
 
-    def get(self, name: str) -> np.ndarray:
-        """The value of an input, state or output now; what a phase gives out is that of its last iteration, of the states before it."""
-        self._known(name, ("input", "state", "output"))
-        value, now = self.program.values[name], self._now
-        if self.program.roles[name] == "output":
-            spec = next(spec for spec in self.program.plans if name in spec.outputs)
-            if not spec.updates:
-                image = self._evaluated(spec, [spec.outputs[name]])[0]
-            elif now.runs[spec.name]:
-                image = now.given[name]
+    def set_all(self, arrays: Mapping[str, object]) -> None:
+        """`set` of several: all of them or, after an error, none."""
+        found = {}
+        for name, array in arrays.items():
+            self._known(name, ("input", "state"))
+            value = self.program.values[name]
+            found[name] = value.layout.to_image(array, name, value.node.half is not None)
+        self._now.feed.update(found)
+        self._versions.update(found.keys())
+
+    def get(self, name: str, view: int | None = None) -> np.ndarray:
+        """The value of an input, state or output now; what a phase gives out is that of its last iteration, of the states before it.
+        view: of pictures one alone."""
+        found = self.get_all([name])[name]
+        return found if view is None else found[view]
+
+    def get_all(self, names: Iterable[str], into: Mapping[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
+        """`get` of several; into: arrays to write some of them to."""
+        names, now = list(dict.fromkeys(names)), self._now
+        for name in names:
+            self._known(name, ("input", "state", "output"))
+        images, asked = {}, {}
+        for name in names:
+            if self.program.roles[name] == "output":
+                asked.setdefault(next(s.name for s in self.program.plans if name in s.outputs), []).append(name)
+            elif name in now.feed:
+                images[name] = now.feed[name]
             else:
-                raise InputError(f"{name} is given out by {spec.name}, which has not run yet")
-        elif name in now.feed:
-            image = now.feed[name]
-        else:
-            raise InputError(f"{name} has no value yet; set it first")
-        return value.layout.from_image(np.asarray(image)).copy()
+                raise InputError(f"{name} has no value yet; set it first")
+        for spec, given in ((self.specs[key], given) for key, given in asked.items()):
+            if not spec.updates:
+                images |= zip(given, self._evaluated(spec, [spec.outputs[name] for name in given]))
+            elif now.runs[spec.name]:
+                images |= {name: now.given[name] for name in given}
+            else:
+                raise InputError(f"{given[0]} is given out by {spec.name}, which has not run yet")
+        found = {name: self.program.values[name].layout.from_image(np.asarray(images[name])) for name in names}
+        for name in found.keys() & (into or {}):
+            into[name][...] = found[name]
+            found[name] = into[name]
+        return found
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """As a session of the runtime has it."""
+        with self._lock:
+            yield
+
+    def reads(self, plan: str) -> tuple[str, ...]:
+        """The inputs and states that a plan depends on."""
+        spec = self.specs[plan]
+        leaves = [n for n in topological([*spec.updates.values(), *spec.outputs.values()]) if n.op.name in ("input", "state")]
+        return tuple(dict.fromkeys(n.attrs["name"] for n in leaves))
+
+    def version(self, name: str) -> int:
+        """Of an input or a state: another number after each change."""
+        return self._versions[name]
 
     def _evaluated(self, spec: PlanSpec, roots: list[Node]) -> list[np.ndarray]:
         """These nodes of a plan, now. Raises InputError where an input that any of the plan's depends on is not set."""
@@ -115,6 +165,7 @@ class ReferenceSession:
                 images, now = iter(self._evaluated(spec, roots)), self._now
                 self._now = _Now(now.feed | dict(zip(spec.updates, images)), now.given | dict(zip(spec.outputs, images)),
                                  now.runs | {spec.name: now.runs[spec.name] + 1})
+                self._versions.update(spec.updates.keys())
             return (time.perf_counter() - start) / max(count, 1)
 
         return bounded(n, run, seconds, stop)

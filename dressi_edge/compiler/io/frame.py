@@ -45,5 +45,5 @@ def _moved(camera: Camera, origin: np.ndarray) -> Camera:
 
 def _moved_light(light: Light, origin: np.ndarray) -> Light:
     """The light in the frame about `origin`; directions stay, and so do vectors that are nodes of a graph."""
-    known = light.kind == "point" and isinstance(light.vector, tuple)
+    known = light.kind in ("point", "spot") and isinstance(light.vector, tuple)
     return replace(light, vector=tuple(np.subtract(light.vector, origin).tolist())) if known else light

@@ -6,6 +6,7 @@ here. What is not read (points, lines, animations, other scenes) is named in war
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from .gltf_material import material_of
 from .images import linear_to_srgb
 from .pieces import Piece, Pieces, listed
 from .ply import strip_faces
+from .text import read_bytes
 
 MAX_CORNERS = 1 << 27  # of faces and vertices of all instances together
 MODES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
@@ -25,9 +27,24 @@ ATTRIBUTES = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD", "JOINTS", "WEIGHTS")
 
 def read_gltf(path: Path, data: bytes) -> Pieces:
     """The pieces of a glTF file, one for each primitive of each node of its default scene. Raises InputError, naming the file."""
+    return _well_formed(path, lambda: _Scene(Document(path, data)).pieces())
+
+
+def placed_nodes(path: Path) -> tuple[Document, list[tuple[int, dict, np.ndarray]]]:
+    """The document of a glTF file, and the nodes of its default scene with their numbers and world matrices, in order. Raises InputError,
+    naming the file."""
+    def read() -> tuple:
+        scene = _Scene(Document(path, read_bytes(path, "glTF file")))
+        return scene.document, [(k, scene.nodes[k], scene.world[k]) for k in scene.drawn]
+
+    return _well_formed(path, read)
+
+
+def _well_formed(path: Path, read: Callable):
+    """What `read` gives; what Python raises at malformed files becomes an InputError."""
     try:
         with np.errstate(all="ignore"):
-            return _Scene(Document(path, data)).pieces()
+            return read()
     except InputError:
         raise
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError, RecursionError, struct.error) as error:

@@ -51,6 +51,12 @@ def gltf_cameras(path: str | Path, width: int, height: int) -> tuple[tuple[Camer
     return tuple(found), tuple(names)
 
 
+def has_cameras(path: str | Path) -> bool:
+    """Whether the file has any. Raises InputError."""
+    found = _gltf(Path(path)).get("cameras")
+    return isinstance(found, list) and bool(found)
+
+
 def _at(items: list, index: int):
     """items[index], for an index that counts from the front."""
     if not isinstance(index, int) or index < 0:

@@ -19,8 +19,8 @@ from .textures import Picture, find_file
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 SHAPES = {"SCALAR": (1,), "VEC2": (2,), "VEC3": (3,), "VEC4": (4,), "MAT2": (2, 2), "MAT3": (3, 3), "MAT4": (4, 4)}
 READ = {"KHR_texture_transform", "KHR_materials_unlit", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_pbrSpecularGlossiness",
-        "KHR_materials_emissive_strength", "EXT_mesh_gpu_instancing"}
-HARMLESS = {"KHR_xmp", "KHR_xmp_json_ld", "KHR_lights_punctual", "KHR_animation_pointer", "EXT_lights_image_based",
+        "KHR_materials_emissive_strength", "EXT_mesh_gpu_instancing", "KHR_lights_punctual"}
+HARMLESS = {"KHR_xmp", "KHR_xmp_json_ld", "KHR_animation_pointer", "EXT_lights_image_based",
             "EXT_lights_ies"}  # they say nothing of a surface
 MAX_EMPTY = 1 << 22  # entries of an accessor without data of its own
 

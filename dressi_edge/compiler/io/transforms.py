@@ -1,4 +1,4 @@
-"""NeRF-style transforms JSON, as its several tools write it: a file in; frames with image files, poses and settings out.
+"""NeRF-style transforms JSON, as its several tools write it: a file in; `Shot`s out.
 
 Every key is applied, known to change nothing here, or refused by name: what is not read must not be taken for read. Keys are those of
 the NeRF synthetic sets, instant-ngp, nerfstudio and the exporters that write for them.
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,22 +14,27 @@ import numpy as np
 from ...cache.errors import InputError, note
 from .cameras import check_rigid, focal
 from .images import IMAGE_SUFFIXES
+from .lens import Lens
+from .shots import Shot
 from .text import is_file, is_folder, parse_json, read_bytes, shown
 
 NAMES = ("transforms_train.json", "transforms.json")
 LENS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov", "cx", "cy", "w", "h")
-PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
-DISTORTED = ("OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")  # pinholes where all their coefficients are 0
+RADIAL3 = ("k1", "k2", "k3", "p1", "p2")
+FISHEYE = ("k1", "k2", "k3", "k4")
+# What each camera_model has of coefficients; a model that is not named has RADIAL3.
+LENSES = {"PINHOLE": (), "SIMPLE_PINHOLE": (), "PERSPECTIVE": (), "SIMPLE_RADIAL": ("k1",), "RADIAL": ("k1", "k2"), "OPENCV": RADIAL3,
+          "FULL_OPENCV": (*RADIAL3, "k4", "k5", "k6"), "OPENCV_FISHEYE": FISHEYE}
 DISTORTION = (*(f"k{k}" for k in range(1, 7)), *(f"p{k}" for k in range(1, 5)), *(f"s{k}" for k in range(1, 5)), "b1", "b2", "skew",
               "distortion_params", "distortion")
 # Another way to form a picture: refused unless false, 0 or null.
-MODELS = ("is_fisheye", "fisheye", "equirectangular", "latlong", "orthographic", "ortho", "panorama", "is_panorama",
+MODELS = ("fisheye", "equirectangular", "latlong", "orthographic", "ortho", "panorama", "is_panorama",
           *(f"ftheta_p{k}" for k in range(5)), "fisheye_crop_radius", "rolling_shutter")
-MASKED = "the mask is the alpha of the picture; save picture and mask as one RGBA file and drop the key"
+MASKS = ("mask_path", "mask_file_path")
+MASKED = "say views.backdrop = {color = [...]} in the job, and drop the key"
 MATRIX = "intrinsics are read from fl_x, fl_y, cx, cy; write them there and drop the key"
-REFUSED = {**dict.fromkeys(("mask_path", "mask_file_path", "mask_color", "white_transparent", "black_transparent"), MASKED),
+REFUSED = {**dict.fromkeys(("mask_color", "white_transparent", "black_transparent"), MASKED),
            **dict.fromkeys(("K", "intrinsics", "intrinsic_matrix", "camera_intrinsics"), MATRIX),
-           "fix_premult": "colour is read as straight, not multiplied by alpha; save the pictures so and drop the key",
            **dict.fromkeys(("transform_matrix_start", "transform_matrix_end"), "a camera that moves during its exposure is not supported")}
 # Bounds and settings of radiance fields, where the poses came from, files of other kinds: nothing that moves a ray of ours.
 HARMLESS = ("aabb_scale", "aabb", "render_aabb", "render_aabb_to_local", "scale", "offset", "from_na", "up", "n_frames", "near", "far",
@@ -39,23 +43,12 @@ HARMLESS = ("aabb_scale", "aabb", "render_aabb", "render_aabb_to_local", "scale"
             "depth_file_path", "normal_file_path", "n_extra_learnable_dims", "sharpness_discard_threshold", "sharpness", "rotation",
             "colmap_im_id", "colmap_image_id", "image_id", "camera_id", "cam_idx", "frame_id", "timestamp", "time", "exposure",
             "is_bad", "label", "name", "comment", "version", "date")
-SETTINGS = (*LENS, *DISTORTION, *MODELS, "camera_model", *REFUSED, *HARMLESS)
+SETTINGS = (*LENS, *MASKS, "fix_premult", *DISTORTION, *MODELS, "camera_model", "is_fisheye", *REFUSED, *HARMLESS)
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """One picture: its file, its pose camera to world (4, 4), the keys in force (the frame's win over the file's), and what errors call
-    it."""
-
-    file: Path
-    pose: np.ndarray
-    setting: dict
-    where: str
-
-
-def read_transforms(path: str | Path) -> list[Frame]:
-    """The frames of a transforms JSON, or of the one in a folder, in its order; where it has `train_filenames`, those alone.
-    Raises InputError for everything that can be known without opening a picture."""
+def read_transforms(path: str | Path, skip: bool = False) -> list[Shot]:
+    """The frames of a transforms JSON, or of the one in a folder, in its order; where it has `train_filenames`, those alone. skip: without
+    those whose picture does not exist. Raises InputError for everything that can be known without opening a picture."""
     path = transforms_file(Path(path))
     document = parse_json(read_bytes(path, "views file"), path)
     frames = document.get("frames") if isinstance(document, dict) else None
@@ -63,7 +56,7 @@ def read_transforms(path: str | Path) -> list[Frame]:
         raise InputError(f"{shown(path)} has no frames; it needs \"frames\": [{{\"file_path\": ..., \"transform_matrix\": ...}}, ...]")
     _known(document, ("frames", "train_filenames", *SETTINGS), shown(path))
     top = {key: value for key, value in document.items() if key != "frames"}
-    result = []
+    result, missing = [], []
     for i, frame in enumerate(frames):
         where = f"{shown(path)} frame {i}"
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
@@ -73,13 +66,35 @@ def read_transforms(path: str | Path) -> list[Frame]:
         _check_model(setting, where)
         intrinsics(setting, 1, 1, where)  # names a bad number before any picture is opened
         pose = check_rigid(frame["transform_matrix"], f"{where} ({shown(frame['file_path'])}) transform_matrix")
-        result.append((frame["file_path"], Frame(_image_file(path.parent / frame["file_path"], where), pose, setting, where)))
+        if skip and _file(path.parent / _slashed(frame["file_path"])) is None:
+            missing.append(frame["file_path"])
+            continue
+        result.append((frame["file_path"], _shot(path.parent, frame["file_path"], pose, setting, where)))
+    if missing:
+        lost = f"{len(missing)} of its {len(frames)} pictures do not exist, such as {shown(missing[0])}"
+        if not result:
+            raise InputError(f"{shown(path)}: {lost}; check the paths")
+        note(f"{shown(path)}: {lost}; the others are used")
     if len({str(frame.get("time")) for frame in frames}) > 1:
         note(f"{shown(path)}: its frames are of different times, but the mesh stands still; take frames of one time")
     return _training(top, result, shown(path))
 
 
-def _training(top: dict, frames: list[tuple[str, Frame]], where: str) -> list[Frame]:
+def _shot(folder: Path, name: str, pose: np.ndarray, setting: dict, where: str) -> Shot:
+    mask = next((setting[key] for key in MASKS if _set(setting.get(key))), None)
+    if mask is not None and not isinstance(mask, str):
+        raise InputError(f"{where}: its mask's path is {shown(repr(mask), 60)}; a text is needed")
+    return Shot(_image_file(folder / _slashed(name), where), pose, lambda w, h: lens(setting, w, h, where),
+                (_number(setting, "w", where), _number(setting, "h", where)), where,
+                None if mask is None else _image_file(folder / _slashed(mask), where, "mask"), bool(setting.get("fix_premult")))
+
+
+def _slashed(name: str) -> str:
+    """A path as this system takes it: tools on Windows write it with backslashes."""
+    return name.replace("\\", "/")
+
+
+def _training(top: dict, frames: list[tuple[str, Shot]], where: str) -> list[Shot]:
     names = top.get("train_filenames")
     if names is None:
         return [frame for _, frame in frames]
@@ -112,22 +127,43 @@ def _known(table: dict, allowed: tuple[str, ...], where: str) -> None:
 
 
 def _check_model(setting: dict, where: str) -> None:
-    """Raises InputError for cameras that are no pinholes, and for pictures that need what is not read."""
+    """Raises InputError for cameras of another kind than `Lens`, and for pictures that need what is not read."""
     model = setting.get("camera_model")
-    if model is not None and (not isinstance(model, str) or model.upper() not in (*PINHOLES, *DISTORTED)):
-        raise InputError(f"{where}: camera_model is {shown(repr(model), 60)}; only pinhole cameras are supported ({', '.join(PINHOLES)}, "
-                         f"and {', '.join(DISTORTED)} without distortion); undistort the images to a pinhole")
+    if model is not None and (not isinstance(model, str) or model.upper() not in LENSES):
+        raise InputError(f"{where}: camera_model is {shown(repr(model), 60)}; allowed: {' '.join(LENSES)}; undistort the images to a "
+                         "pinhole")
     for key in MODELS:
         if _set(setting.get(key)):
-            raise InputError(f"{where}: {key} is {shown(repr(setting[key]), 60)}; only pinhole cameras are supported; "
+            raise InputError(f"{where}: {key} is {shown(repr(setting[key]), 60)}; cameras of one lens and one moment are read; "
                              "undistort the images to a pinhole")
+    used = _coefficients(setting)
     for key in DISTORTION:
         value = setting.get(key)
-        if _set(value):
-            raise InputError(f"{where}: lens distortion {key} is {shown(repr(value), 60)}; only 0 is allowed; undistort the images")
+        if key in used:
+            _number(setting, key, where)
+        elif _set(value):
+            kind = "without a camera_model" if model is None else f"with camera_model {model}"
+            raise InputError(f"{where}: lens distortion {key} is {shown(repr(value), 60)}; {kind}, {' '.join(used) or 'none'} "
+                             f"{'are' if len(used) > 1 else 'is'} read; name the right model, or undistort the images")
     for key, hint in REFUSED.items():
         if _set(setting.get(key)):
             raise InputError(f"{where}: {key} is not read: {hint}")
+
+
+def _coefficients(setting: dict) -> tuple[str, ...]:
+    """The names of the coefficients that the setting's lens has."""
+    return FISHEYE if _set(setting.get("is_fisheye")) else LENSES[(setting.get("camera_model") or "OPENCV").upper()]
+
+
+def lens(setting: dict, width: int, height: int, where: str) -> Lens:
+    """The lens of a picture of width x height, by the keys in force. Raises InputError."""
+    used = _coefficients(setting)
+    value = {key: float(_number(setting, key, where) or 0.0) for key in used}
+    k = tuple(value.get(f"k{n}", 0.0) for n in range(1, 7))
+    while k and k[-1] == 0.0:
+        k = k[:-1]
+    model = "fisheye" if used is FISHEYE else "opencv"
+    return Lens(*intrinsics(setting, width, height, where), model, k, (value.get("p1", 0.0), value.get("p2", 0.0)))
 
 
 def _set(value) -> bool:
@@ -135,11 +171,18 @@ def _set(value) -> bool:
     return any(map(_set, value)) if isinstance(value, list) else bool(value)
 
 
-def _image_file(path: Path, where: str) -> Path:
-    for candidate in (path, *(path.with_name(path.name + suffix) for s in IMAGE_SUFFIXES for suffix in (s, s.upper()) if path.name)):
-        if is_file(candidate):
-            return candidate
-    raise InputError(f"{where}: image file {shown(path)} does not exist, nor with {', '.join(IMAGE_SUFFIXES)}; check file_path")
+def _image_file(path: Path, where: str, what: str = "image") -> Path:
+    file = _file(path)
+    if file is None:
+        raise InputError(f"{where}: {what} file {shown(path)} does not exist, nor with {', '.join(IMAGE_SUFFIXES)}; check the path"
+                         + (", or say views.missing = \"skip\"" if what == "image" else ""))
+    return file
+
+
+def _file(path: Path) -> Path | None:
+    """The file of that path, or with an extension that it lacks."""
+    with_suffix = (path.with_name(path.name + suffix) for s in IMAGE_SUFFIXES for suffix in (s, s.upper()) if path.name)
+    return next((candidate for candidate in (path, *with_suffix) if is_file(candidate)), None)
 
 
 def _number(setting: dict, key: str, where: str) -> float | None:
@@ -167,12 +210,3 @@ def intrinsics(setting: dict, width: int, height: int, where: str) -> tuple[floa
     cx, cy = _number(setting, "cx", where), _number(setting, "cy", where)
     return (lengths[0], lengths[0] if lengths[1] is None else lengths[1],
             width / 2.0 if cx is None else cx, height / 2.0 if cy is None else cy)
-
-
-def stated_size(frame: Frame, width: int, height: int) -> None:
-    """Raises InputError where the file states another size for a picture than it has: intrinsics would be another picture's."""
-    w, h = (_number(frame.setting, key, frame.where) for key in ("w", "h"))
-    stated = (width if w is None else w, height if h is None else h)
-    if stated != (width, height):
-        raise InputError(f"{frame.where} states {stated[0]}x{stated[1]} pixels, but {shown(frame.file)} has {width}x{height}; "
-                         "correct w and h, with the focal lengths, or the image")

@@ -1,4 +1,4 @@
-"""glTF out: parts in, the bytes of a .glb or of a .gltf with everything inside.
+"""glTF out: parts, lights and cameras in, the bytes of a .glb or of a .gltf with everything inside.
 
 Corners with different uvs, colours or normals are vertices of their own; each mesh vertex's first corner stays in its place, the others
 follow after the last. Colours are linear in glTF, of 16 bits; pictures are PNG.
@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import struct
 from collections.abc import Sequence
 
 import numpy as np
 
+from ...cache.errors import note
+from .cameras import Camera, inverse_rigid
+from .gltf_lights import EXTENSION, PlacedLight
 from .images import png_bytes, srgb_to_linear
 from .materials import Part, TextureMap
 from .mesh import Mesh, corner_normals, origin_of, unique_rows
@@ -155,7 +159,45 @@ class _Writer:
         node = {"name": part.name, "mesh": self.add("meshes", {"name": part.name, "primitives": [primitive]})}
         if self.origin.any():
             node["translation"] = self.origin.tolist()
-        self.json["scenes"][0]["nodes"].append(self.add("nodes", node))
+        self._node(node)
+
+    def _node(self, entry: dict) -> None:
+        self.json["scenes"][0]["nodes"].append(self.add("nodes", entry))
+
+    def light(self, light: PlacedLight) -> None:
+        """A light on a node of its own, which turns it from -z."""
+        intensity = max(light.power)
+        entry = {"name": light.name, "type": light.kind, "color": [x / intensity for x in light.power] if intensity else [1.0] * 3,
+                 "intensity": intensity}
+        if light.kind == "spot":
+            entry["spot"] = {"innerConeAngle": light.cone[0], "outerConeAngle": light.cone[1]}
+        own = self.json.setdefault("extensions", {}).setdefault(EXTENSION, {"lights": []})["lights"]
+        own.append(entry)
+        self.extensions.add(EXTENSION)
+        node = {"name": light.name, "extensions": {EXTENSION: {"light": len(own) - 1}}}
+        if light.kind != "directional":
+            node["translation"] = list(light.position)
+        if light.kind != "point":
+            node["rotation"] = _turn(np.array(light.direction))
+        self._node(node)
+
+    def camera(self, name: str, camera: Camera) -> None:
+        """A camera on a node of its own. glTF's look along the middle of their pictures."""
+        if abs(camera.cx - camera.width / 2) > 0.5 or abs(camera.cy - camera.height / 2) > 0.5:
+            note(f"camera {name}: glTF has the principal point in the middle of the picture, not at ({camera.cx:g}, {camera.cy:g})")
+        across, up = camera.width / (2.0 * camera.fx), camera.height / (2.0 * camera.fy)
+        lens = {"znear": camera.near, "zfar": camera.far}
+        lens |= {"xmag": across, "ymag": up} if camera.kind == "orthographic" else {"yfov": 2.0 * math.atan(up), "aspectRatio": across / up}
+        index = self.add("cameras", {"name": name, "type": camera.kind, camera.kind: lens})
+        self._node({"name": name, "camera": index, "matrix": inverse_rigid(camera.world_to_camera).T.reshape(-1).tolist()})
+
+
+def _turn(direction: np.ndarray) -> list[float]:
+    """The quaternion (x, y, z, w) that turns -z to a direction."""
+    d = direction / np.linalg.norm(direction)
+    q = np.array([d[1], -d[0], 0.0, 1.0 - d[2]])  # cross(-z, d), 1 + dot(-z, d)
+    size = np.linalg.norm(q)
+    return (q / size).tolist() if size > 1e-6 else [0.0, 1.0, 0.0, 0.0]
 
 
 def _with_alpha(texels: np.ndarray, base: TextureMap) -> np.ndarray:
@@ -164,11 +206,16 @@ def _with_alpha(texels: np.ndarray, base: TextureMap) -> np.ndarray:
     return np.concatenate([texels, stored[..., 3:]], axis=-1) if stored.shape[2] == 4 and stored.shape[:2] == texels.shape[:2] else texels
 
 
-def encode_gltf(parts: Sequence[Part], binary: bool) -> bytes:
+def encode_gltf(parts: Sequence[Part], binary: bool, lights: Sequence[PlacedLight] = (),
+                cameras: Sequence[tuple[str, Camera]] = ()) -> bytes:
     """A .glb, or a .gltf whose buffer is a data URI."""
     writer = _Writer(origin_of(np.concatenate([part.mesh.positions for part in parts])))
     for part in parts:
         writer.part(part)
+    for light in lights:
+        writer.light(light)
+    for name, camera in cameras:
+        writer.camera(name, camera)
     document, data = writer.json, bytes(writer.buffer) + b"\0" * (-len(writer.buffer) % 4)
     if writer.extensions:
         document["extensionsUsed"] = sorted(writer.extensions)

@@ -16,6 +16,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ...cache.errors import InputError
 from ...cache.files import replace_file
+from .cameras import Camera
+from .gltf_lights import PlacedLight
 from .images import png_bytes, to_bytes
 from .materials import Material, Part
 from .mesh import Mesh
@@ -60,9 +62,11 @@ def save_mesh(path: str | Path, mesh: Mesh, unlit: bool = False) -> None:
     save_parts(path, [Part("surface", mesh, Material("surface", unlit=unlit))])
 
 
-def save_parts(path: str | Path, parts: Sequence[Part]) -> None:
+def save_parts(path: str | Path, parts: Sequence[Part], lights: Sequence[PlacedLight] = (),
+               cameras: Sequence[tuple[str, Camera]] = ()) -> None:
     """Writes parts with their materials, as `save_mesh` does; `Part.mesh` has the base colour's uvs and texels. OBJ has base colours,
-    emission and the PBR extension; PLY has pictures and colours of vertices, times base colours."""
+    emission and the PBR extension; PLY has pictures and colours of vertices, times base colours. glTF has lights (KHR_lights_punctual) and
+    cameras with their names, too."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -74,7 +78,7 @@ def save_parts(path: str | Path, parts: Sequence[Part]) -> None:
         for name, data in (encode_obj if suffix == ".obj" else encode_ply)(parts, path.stem).items():  # what the mesh names before it
             write_bytes(path if name == f"{path.stem}{suffix}" else path.with_name(name), data)
     else:
-        write_bytes(path, encode_gltf(parts, binary=suffix == ".glb"))
+        write_bytes(path, encode_gltf(parts, suffix == ".glb", lights, cameras))
 
 
 def save_png(path: str | Path, image: np.ndarray) -> None:

@@ -20,8 +20,8 @@ from ..graph.ir import COLUMN, Extent, Node, intern, is_int, rebuild, topologica
 from ..graph.ops.compact import compact
 from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
+from .constants import constant_value
 from .groups import Group, Lists
-from .known import constant_value
 from .simplify import simplify
 from .specialize import dependence
 
@@ -42,6 +42,9 @@ def find_lists(group: Group, program: Program, profile: Profile, least: int) -> 
     for k in phases:
         sampled = [(name, program.values[name].node) for name in specs[k].updates if any(
             n.op.listed and n.inputs[0] is program.values[name].node for n in topological(rooted[k]))]
+        whole = {n.inputs[0]: n.op.dense for n in topological(rooted[k]) if n.op.dense}
+        told |= {name: f"every texel is updated: {whole[node]}" for name in specs[k].updates
+                 if (node := program.values[name].node) in whole}
         for extent in dict.fromkeys(node.extent for _, node in sampled):
             why, texels = "listed", extent.width * extent.height
             try:

@@ -14,7 +14,7 @@ from ..graph.ir import Extent, Node, topological
 from ..graph.optable import apply
 from ..graph.program import PlanSpec, Program
 from .groups import Group, Lists
-from .specialize import prepare, specialize
+from .specialize import counts, late, prepare, specialize
 from .substage import Stage
 
 PREPARE = "prepare"  # to a bundle an output like others: it updates nothing
@@ -66,18 +66,22 @@ def plan_graphs(groups: Sequence[Group], program: Program, cache: bool = True) -
 
 
 def _of_group(group: Group, program: Program, cache: bool) -> list[PlanGraph]:
-    plans, rooted = [], [list(roots) for roots in group.roots]
+    plans, rooted, totals = [], [list(roots) for roots in group.roots], {x.extent: x.total for x in group.lists}
     if cache:
         cached: dict[Node, Node] = {}
-        rooted = [specialize(roots, spec.dynamic, group.name, cached) for spec, roots in zip(group.specs, rooted)]
+        moving = frozenset().union(*(spec.moving for spec in group.specs))
+        rooted = [specialize(roots, spec.dynamic, group.name, cached, moving) for spec, roots in zip(group.specs, rooted)]
         entered = [specialize(list(x.enter.values()), frozenset(x.copies), group.name, cached) for x in group.lists]
-        beforehand = prepare(group.name, cached, MAX_NEEDS - len(group.lists))
+        if moving:
+            totals |= counts([n for roots in group.roots for n in roots], [n for roots in rooted for n in roots], group.name, cached)
+        dynamic = frozenset().union(*(spec.dynamic for spec in group.specs))
+        last = late(rooted, dynamic, cached) if moving else ()
+        beforehand = prepare(group.name, cached, MAX_NEEDS - len(group.lists), moving, last)
         for k, (roots, leaves) in enumerate(beforehand, 1):
             name = f"{group.name}.prepare" + (f".{k}" if k < len(beforehand) else "")
             plans.append(PlanGraph(name, PREPARE, tuple(roots), tuple(leaves)))
         for x, roots in zip(group.lists, entered):
             plans += _of_lists(group.name, x, roots, program)
-    totals = {x.extent: x.total for x in group.lists}
     return plans + [_of_spec(spec, roots, program, group.lists, totals) for spec, roots in zip(group.specs, rooted)]
 
 

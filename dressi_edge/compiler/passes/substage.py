@@ -32,13 +32,14 @@ class Domain:
 @dataclass(frozen=True)
 class Substage:
     """One subpass: `nodes` in order, of which `outputs` are written; `reads` are (node, mode) from outside. domain: as
-    `passes/domains.py` found it."""
+    `passes/domains.py` found it. compute: it is dispatched, not drawn (`passes/compute.py`)."""
 
     extent: Extent
     nodes: tuple[Node, ...]
     outputs: tuple[Node, ...]
     reads: tuple[tuple[Node, str], ...]
     domain: Domain = Domain()
+    compute: bool = False
 
     @property
     def raster(self) -> bool:
@@ -61,10 +62,15 @@ class Substage:
 
 @dataclass(frozen=True)
 class Stage:
-    """One render pass."""
+    """One render pass, or one dispatch."""
 
     extent: Extent
     substages: tuple[Substage, ...]
+
+    @property
+    def compute(self) -> bool:
+        """Whether it is a dispatch."""
+        return self.substages[0].compute
 
 
 def is_inline(node: Node) -> bool:

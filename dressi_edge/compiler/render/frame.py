@@ -12,10 +12,12 @@ import numpy as np
 
 from ...cache.errors import InputError
 from ..graph.functions import apply, compose, constant_table, lookup, select, to_float, to_int
-from ..graph.ir import UNIT, Node, intern, rebuild, topological
+from ..graph.ir import UNIT, Node, intern, rebuild, table, topological
+from ..graph.ops.join import join
 from .alike import runs
 from .atlas import Atlas
 from .camera import ViewTable
+from .corners import CornerSurface
 from .material import shaded
 from .part import Parts
 from .raster import Fragments, Renderer, Span, near_faces
@@ -49,16 +51,20 @@ class Frame:
     @cached_property
     def fragments(self) -> Fragments:
         """Which faces pixels show."""
-        return self.renderer.draw(self.clip, self.parts.topology, self.atlas, self.views.near, True)
+        return self._draw(True)
 
     @cached_property
     def _outline(self) -> Fragments:
         """Only whether there is one."""
-        return self.renderer.draw(self.clip, self.parts.topology, self.atlas, self.views.near, False)
+        return self._draw(False)
+
+    def _draw(self, faces: bool) -> Fragments:
+        renderer = self.renderer.seen_by(self.views) if hasattr(self.renderer, "seen_by") else self.renderer
+        return renderer.draw(self.clip, self.parts.topology, self.atlas, self.views.near, faces)
 
     def settled(self, roots: list[Node]) -> list[Node]:
         """The roots of a plan; where they read which faces pixels show, silhouettes are taken from the same drawing."""
-        if not {"_outline", "fragments"} <= self.__dict__.keys() or self.fragments.front not in set(topological(roots)):
+        if not {"_outline", "fragments"} <= self.__dict__.keys() or self.fragments.drawn not in set(topological(roots)):
             return roots
         same = {self._outline.silhouette(): self.fragments.silhouette(),
                 self._outline.layers[0].hard: self.fragments.layers[0].hard}
@@ -101,6 +107,8 @@ class Frame:
     @cached_property
     def color(self) -> Node:
         """vec3: the parts as their materials say, over the background."""
+        if self.fragments.at_corners:
+            return self.composed([self._corners_colored(k) for k in range(3)])
         return self.composed([self._colored(k) for k in range(len(self.fragments.layers))])
 
     def composed(self, layers: list[Node], background: Node | float | None = None) -> Node:
@@ -115,6 +123,18 @@ class Frame:
             color = near_faces(s.face_over_views, self.encode(color) if self.encode else color, apart=len(together) > 1)
             total = color if total is None else select(s.inside, color, total)
         return total if len(together) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
+
+    def _corners_colored(self, number: int) -> Node:
+        """The colours of a corner of each face, a table of views x faces."""
+        total, extent = None, table(self.atlas.views * len(self.parts.topology.faces))
+        for k, part in enumerate(self.parts.parts):
+            s = CornerSurface(self, number, part)
+            color = shaded(part.material, s, self._who(k))
+            color = self.encode(color) if self.encode else color
+            color = apply("broadcast", color, extent=s.inside.extent) if color.extent == UNIT else color
+            total = color if total is None else join(total, color, self.atlas.views)
+        assert total.extent == extent
+        return total
 
     @cached_property
     def mask(self) -> Node:
@@ -223,6 +243,11 @@ class Frame:
             return apply("broadcast", 1.0, extent=self.atlas.extent)
         size = self.per_view(self._sizes)
         return to_float((self.pixel.x < size.x) & (self.pixel.y < size.y))
+
+    @property
+    def border(self) -> Node | None:
+        """`valid` where pictures have different sizes; None where all texels of a view are its picture's, and no loss needs a mask."""
+        return None if self._sizes is None else self.valid
 
     @property
     def cell(self) -> tuple[int, int]:

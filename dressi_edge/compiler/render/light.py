@@ -7,27 +7,34 @@ from dataclasses import dataclass
 
 from ...cache.errors import GraphError, InputError
 from ...cache.layout import beyond_fp32
-from ..graph.functions import compose, dot, maximum, normalize
+from ..graph.functions import clamp, compose, dot, maximum, normalize
 from ..graph.ir import UNIT, Node
 
-KINDS = ("directional", "point", "ambient")
+KINDS = ("directional", "point", "spot", "ambient")
+PLACED = ("point", "spot")  # of which `vector` is a position
 
 
 @dataclass(frozen=True)
 class Light:
     """kind "directional": `vector` is the direction in which the light travels, `power` its irradiance; "point": position and intensity;
-    "ambient": power is the radiance from everywhere. Three numbers each (power: or one), or a vec3 of extent 1x1: a parameter."""
+    "spot": those, with the `direction` in which its cone opens, and `cone`: the angles from that, in radians, up to which the intensity is
+    whole and from which on there is none, falling in between as in KHR_lights_punctual; "ambient": power is the radiance from everywhere.
+    Three numbers each (power: or one), or a vec3 of extent 1x1: a parameter; cone: two numbers."""
 
     kind: str
     power: tuple[float, float, float] | Node
     vector: tuple[float, float, float] | Node | None = None
+    direction: tuple[float, float, float] | Node | None = None
+    cone: tuple[float, float] = (0.0, math.pi / 4)
 
     def __post_init__(self):
         if self.kind not in KINDS:
             raise InputError(f"light kind {self.kind!r}; {' '.join(KINDS)} are allowed")
-        for name in ("power", "vector"):
+        if self.kind != "spot" and self.direction is not None:
+            raise InputError(f"{self.kind} light: direction is {self.direction!r:.60}; only a spot has one: drop it")
+        for name in ("power", "vector", "direction"):
             x = getattr(self, name)
-            if name == "vector" and self.kind == "ambient":
+            if name == "vector" and self.kind == "ambient" or name == "direction" and self.kind != "spot":
                 continue
             if isinstance(x, Node):
                 if (x.vtype, x.extent) != ("vec3", UNIT):
@@ -37,8 +44,14 @@ class Light:
             if x is None or len(x) != 3 or not all(isinstance(c, (int, float)) and not beyond_fp32(c) for c in x):
                 raise InputError(f"{self.kind} light: {name} is {x!r}; three numbers that are finite in fp32 are needed")
             object.__setattr__(self, name, tuple(map(float, x)))
-        if self.kind == "directional" and not isinstance(self.vector, Node) and not any(self.vector):
-            raise InputError("directional light: vector is zero; a direction is needed")
+        for kind, name in (("directional", "vector"), ("spot", "direction")):
+            if self.kind == kind and not isinstance(getattr(self, name), Node) and not any(getattr(self, name)):
+                raise InputError(f"{kind} light: {name} is zero; a direction is needed")
+        good = isinstance(self.cone, (tuple, list)) and len(self.cone) == 2 and all(isinstance(a, (int, float)) for a in self.cone)
+        if not good or not 0.0 <= self.cone[0] < self.cone[1] <= math.pi / 2:
+            raise InputError(f"{self.kind} light: cone is {self.cone!r:.60}; two angles in radians, 0 <= inner < outer <= pi / 2, are "
+                             "needed")
+        object.__setattr__(self, "cone", tuple(map(float, self.cone)))
 
     def arriving(self, position: Node) -> tuple[Node, Node, Node | float]:
         """At a point (vec3): power, the direction to the light (vec3, length 1), and what 1 / power of its irradiance is: 1, or the
@@ -47,7 +60,12 @@ class Light:
         if self.kind == "directional":
             return power, -normalize(vector), 1.0
         to_light = vector - position
-        return power, normalize(to_light), maximum(dot(to_light, to_light), 1e-8)
+        towards = normalize(to_light)
+        if self.kind == "spot":
+            inner, outer = map(math.cos, self.cone)
+            inside = clamp((-dot(towards, normalize(_node(self.direction))) - outer) / max(inner - outer, 1e-3), 0.0, 1.0)
+            power = power * (inside * inside)
+        return power, towards, maximum(dot(to_light, to_light), 1e-8)
 
 
 def _node(x) -> Node:

@@ -16,24 +16,112 @@ import numpy as np
 from ...cache.errors import GraphError, InputError
 from ..graph.functions import apply, compose, dot, maximum, normalize, select
 from ..graph.ir import UNIT, Node
-from .light import Light, diffuse
+from ..graph.optable import as_node
+from .light import PLACED, Light, diffuse
 from .surface import Surface
+from .texture import Wrap, wraps_of
+from .tone import decode_srgb
 
 Source = float | tuple | Node | Callable[[Surface], Node]
 
 
-@dataclass(frozen=True)
-class Texture:
-    """A source: the bilinear sample of an image of 1 to 4 channels (`texture.sample_texture` has wrap and gradient) at the surface's
-    texture coordinates, or at `uv`, a source of its own."""
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
-    image: Node
-    wrap: str = "repeat"
-    gradient: str = "exact"
-    uv: Source | None = None
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """A source, a vec2: texture coordinates of faces' corners that are not the mesh's own. values: (n, 2), v down; faces: (F, 3), which of
+    them each corner has. transform: 2 x 3 numbers, (u, v) = transform (u, v, 1), as KHR_texture_transform has it. Raises InputError."""
+
+    values: np.ndarray
+    faces: np.ndarray
+    transform: tuple = IDENTITY
+
+    def __post_init__(self) -> None:
+        _matrix(self.transform)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(F, 3, 2)."""
+        return moved(np.asarray(self.values, float)[self.faces], self.transform)
 
     def __call__(self, s: Surface) -> Node:
-        return s.texture(self.image, None if self.uv is None else evaluate(self.uv, s), self.wrap, self.gradient)
+        return s.corner(self.corners)
+
+
+def _matrix(transform) -> np.ndarray:
+    try:
+        matrix = np.array(transform, float)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (2, 3) or not np.isfinite(matrix).all():
+        raise InputError(f"a transform of texture coordinates is {transform!r:.60}; two rows of three finite numbers are needed")
+    return matrix
+
+
+def moved(corners: np.ndarray, transform) -> np.ndarray:
+    """Texture coordinates (..., 2) after a 2 x 3 transform; the same array where that does nothing. Raises InputError."""
+    matrix = _matrix(transform)
+    return corners if (matrix == np.array(IDENTITY)).all() else corners @ matrix[:, :2].T + matrix[:, 2]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A source: the sample of an image of 1 to 4 channels at the surface's texture coordinates, or at `uv`, a source of its own.
+
+    wrap: "repeat", "clamp" or "mirror", or a pair of them, for u and for v. gradient: of the image; `texture.sample_texture` says which.
+    transform: 2 x 3 numbers by which the coordinates are moved first (KHR_texture_transform).
+    mips: trilinear between mip levels, by how large a pixel is on the face; so a texture that is much finer than the pixels does not alias.
+    The coordinates are then the mesh's own or `Coordinates`. bias: added to the level; below 0 sharper. The texture's gradient is exact
+    through all levels; an optimizer then updates every texel. How the level changes as vertices move is not in gradients.
+    srgb: the image holds sRGB values and is decoded before anything is averaged. Raises InputError."""
+
+    image: Node
+    wrap: Wrap = "repeat"
+    gradient: str = "exact"
+    uv: Source | None = None
+    mips: bool = False
+    srgb: bool = False
+    transform: tuple = IDENTITY
+    bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        wraps_of(self.wrap)
+        _matrix(self.transform)
+        if self.mips and not (self.uv is None or isinstance(self.uv, Coordinates)):
+            raise InputError(f"a texture with mips has the uv {self.uv!r:.40}; the mesh's own coordinates or Coordinates are needed, of "
+                             "which it is known how fast they change")
+
+    @property
+    def decoded(self) -> Node:
+        """The image as it is sampled."""
+        return decode_srgb(self.image) if self.srgb else self.image
+
+    def __call__(self, s: Surface) -> Node:
+        image, plain = self.decoded, tuple(map(tuple, self.transform)) == IDENTITY
+        if self.uv is None and plain and not self.mips:
+            return s.texture(image, None, self.wrap, self.gradient)
+        if self.uv is None or isinstance(self.uv, Coordinates):
+            corners = moved(s.uv_corners if self.uv is None else self.uv.corners, self.transform)
+            lod = s.level_of_detail(image, corners, self.bias) if self.mips else None
+            return s.texture(image, s.corner(corners), self.wrap, self.gradient, lod)
+        uv = evaluate(self.uv, s)
+        if not plain:
+            uv = compose(*(row[0] * uv.x + row[1] * uv.y + row[2] for row in self.transform))
+        return s.texture(image, uv, self.wrap, self.gradient)
+
+
+@dataclass(frozen=True)
+class Product:
+    """A source: other ones, multiplied: a texture and a factor, a texture and the colours of vertices."""
+
+    sources: Sequence[Source]
+
+    def __call__(self, s: Surface) -> Node:
+        first, *others = (as_node(evaluate(x, s)) for x in self.sources)
+        for x in others:
+            first = first * x
+        return first
 
 
 @dataclass(frozen=True)
@@ -44,6 +132,17 @@ class Vertex:
 
     def __call__(self, s: Surface) -> Node:
         return s.vertex(self.table)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A source: channels of another one by name, such as "y" or "xyz"."""
+
+    source: Source
+    name: str
+
+    def __call__(self, s: Surface) -> Node:
+        return apply("swizzle", evaluate(self.source, s), channels=self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +167,12 @@ def evaluate(source: Source, surface: Surface) -> Node | float:
     raise InputError(f"{source!r:.60} is no source of a material; a number, three numbers, a node or a function of the surface is needed")
 
 
+def facing(s: Surface, two_sided: bool) -> Node:
+    """The normal to shade with, of length 1; two_sided: turned round where the face is seen from behind."""
+    n = normalize(s.normal)
+    return select(dot(s.geometric_normal, s.to_eye) < 0.0, -n, n) if two_sided else n
+
+
 def _check_lights(lights: Sequence[Light]) -> None:
     if not isinstance(lights, (tuple, list)) or not lights or not all(isinstance(light, Light) for light in lights):
         raise InputError(f"lights are {lights!r:.60}; a sequence of at least one Light is needed")
@@ -87,34 +192,37 @@ class Unlit:
 @dataclass(frozen=True)
 class Lambert:
     """A diffuse surface: color (E / pi max(n.l, 0) + ambient), summed over the lights. A point light of intensity I at distance d gives
-    E = I / d^2."""
+    E = I / d^2. two_sided: faces seen from behind are lit from the side on which one sees them."""
 
     color: Source
     lights: Sequence[Light]
+    two_sided: bool = False
 
     def __post_init__(self) -> None:
         _check_lights(self.lights)
 
     def __call__(self, s: Surface) -> Node:
-        albedo, normal = evaluate(self.color, s), s.normal
-        position = s.position if any(light.kind == "point" for light in self.lights) else normal
+        albedo, normal = evaluate(self.color, s), facing(s, True) if self.two_sided else s.normal
+        position = s.position if any(light.kind in PLACED for light in self.lights) else normal
         return albedo * diffuse(normal, position, self.lights)
 
 
 @dataclass(frozen=True)
 class BlinnPhong:
-    """Lambert, and where a light is in front specular E max(n.h, 0)^gloss, h half way between light and eye (Blinn 1977). gloss > 0."""
+    """Lambert, and where a light is in front specular E max(n.h, 0)^gloss, h half way between light and eye (Blinn 1977). gloss > 0.
+    two_sided: as in `Lambert`."""
 
     color: Source
     specular: Source
     gloss: Source
     lights: Sequence[Light]
+    two_sided: bool = False
 
     def __post_init__(self) -> None:
         _check_lights(self.lights)
 
     def __call__(self, s: Surface) -> Node:
-        n, gloss, shine = normalize(s.normal), evaluate(self.gloss, s), None
+        n, gloss, shine = facing(s, self.two_sided), evaluate(self.gloss, s), None
         for light in self.lights:
             if light.kind == "ambient":
                 continue

@@ -15,7 +15,7 @@ from ..graph.functions import compose, constant_table, dot, lookup, maximum, nor
 from ..graph.ir import Node
 from ..graph.optable import as_node
 from .normals import unit_face_normals, vertex_normals
-from .texture import sample_texture
+from .texture import Wrap, level_of_detail, sample_texture
 
 if TYPE_CHECKING:
     from .frame import Frame
@@ -77,10 +77,15 @@ class Surface:
     @cached_property
     def uv(self) -> Node:
         """vec2: texture coordinates, v down. Raises InputError where the mesh has none."""
+        return self.corner(self.uv_corners)
+
+    @property
+    def uv_corners(self) -> np.ndarray:
+        """(F, 3, 2): the texture coordinates of the faces' corners. Raises InputError where the mesh has none."""
         mesh = self.part.mesh
         if mesh.uvs is None:
             raise InputError(f"part {self.part.name}: its mesh has no texture coordinates, and its material reads them")
-        return self.corner(np.asarray(mesh.uvs)[mesh.uv_faces])
+        return np.asarray(mesh.uvs)[mesh.uv_faces]
 
     @cached_property
     def view(self) -> Node:
@@ -90,14 +95,13 @@ class Surface:
     @cached_property
     def eye(self) -> Node:
         """The centre of the pixel's camera; of an orthographic one, where its depths count from."""
-        return self.frame.of_view(self.frame.views.position())
+        return self.of_view(self.frame.views.position())
 
     @cached_property
     def to_eye(self) -> Node:
         """The direction from the surface to the eye, of length 1; of an orthographic camera, against the way it looks."""
-        frame = self.frame
-        return frame.views.either(lambda: normalize(frame.of_view(frame.views.rows[2].xyz)),
-                                  lambda: normalize(self.eye - self.position), frame.of_view)
+        views = self.frame.views
+        return views.either(lambda: normalize(self.of_view(views.rows[2].xyz)), lambda: normalize(self.eye - self.position), self.of_view)
 
     @cached_property
     def distance(self) -> Node:
@@ -106,18 +110,18 @@ class Surface:
             d = self.eye - self.position
             return sqrt(maximum(dot(d, d), 1e-30))
 
-        return self.frame.views.either(lambda: self.depth, from_eye, self.frame.of_view)
+        return self.frame.views.either(lambda: self.depth, from_eye, self.of_view)
 
     @cached_property
     def depth(self) -> Node:
         """From the eye, along the camera's axis."""
-        row = self.frame.of_view(self.frame.views.rows[2])
+        row = self.of_view(self.frame.views.rows[2])
         return -(dot(row.xyz, self.position) + row.w)
 
     @cached_property
     def camera_normal(self) -> Node:
         """The normal in the camera's own axes: x right, y up, z towards the eye."""
-        rows = [self.frame.of_view(row) for row in self.frame.views.rows]
+        rows = [self.of_view(row) for row in self.frame.views.rows]
         return compose(*(dot(row.xyz, self.normal) for row in rows))
 
     @property
@@ -125,40 +129,70 @@ class Surface:
         """The step of the phase that the frame belongs to, an int of extent 1x1; 0 where it belongs to none."""
         return as_node(0) if self.frame.step is None else self.frame.step
 
+    def of_view(self, values: Node) -> Node:
+        """The entry of a table of the frame's views that belongs to the pixel."""
+        return self.frame.of_view(values)
+
     def vertex(self, table: Node) -> Node:
         """An attribute of the part's vertices: a float or vec table of as many entries. Raises InputError."""
+        self._check_vertex(table)
+        return self.frame.fragments.interpolate(self._layer, table, self.frame.weights(self.number, self._span), self._span)
+
+    def _check_vertex(self, table: Node) -> None:
         count = len(self.part.mesh.positions)
         if not isinstance(table, Node) or table.extent.count != count:
             raise InputError(f"part {self.part.name}: a vertex attribute is {table!r:.60}; a table of its {count} vertices is needed")
-        return self.frame.fragments.interpolate(self._layer, table, self.frame.weights(self.number, self._span), self._span)
 
     def indexed(self, table: Node, faces: np.ndarray) -> Node:
         """An attribute that corners share as they like: a float or vec table, and (F, 3) entries for all faces of the mesh. InputError."""
+        faces = self._check_indexed(table, faces)
+        return self.frame.fragments.interpolate_indexed(self._layer, table, faces, self.frame.weights(self.number, self._span), self._span)
+
+    def _check_indexed(self, table: Node, faces: np.ndarray) -> np.ndarray:
         faces, count = np.asarray(faces), len(self.part.mesh.faces)
         if faces.shape != (count, 3) or not isinstance(table, Node) or faces.min() < 0 or faces.max() >= table.extent.count:
             raise InputError(f"part {self.part.name}: an attribute of corners has indices of shape {faces.shape} into {table!r:.60}; "
                              f"({count}, 3) indices of its entries are needed")
-        return self.frame.fragments.interpolate_indexed(self._layer, table, faces, self.frame.weights(self.number, self._span), self._span)
+        return faces
 
     def corner(self, values: np.ndarray) -> Node:
         """A constant attribute of the faces' corners, (F, 3, c) for all faces of the mesh. Raises InputError."""
+        weights = self.frame.weights(self.number, self._span)
+        return self.frame.fragments.interpolate_constant(self._layer, self._corners(values), weights, self._span)
+
+    def slopes(self, values: np.ndarray) -> tuple[Node, Node]:
+        """How much a constant attribute of the faces' corners (as in `corner`) changes from pixel to pixel, across and down: its
+        derivatives, worked out of the face, without gradient. Raises InputError."""
+        return self.frame.fragments.slopes(self._layer, self._corners(values), self._span)
+
+    def _corners(self, values: np.ndarray) -> np.ndarray:
         values, count = np.asarray(values, float), len(self.part.mesh.faces)
         if values.ndim != 3 or values.shape[:2] != (count, 3) or not 1 <= values.shape[2] <= 4:
             raise InputError(f"part {self.part.name}: an attribute of corners has shape {values.shape}; ({count}, 3, 1 to 4) is needed")
-        return self.frame.fragments.interpolate_constant(self._layer, values, self.frame.weights(self.number, self._span), self._span)
+        return values
 
     def per_face(self, values: np.ndarray) -> Node:
         """A constant of each face, (F, c) for all faces of the mesh. Raises InputError."""
+        return lookup(constant_table(self._check_per_face(values)[self.part.topology.kept]), self.face)
+
+    def _check_per_face(self, values: np.ndarray) -> np.ndarray:
         values, count = np.asarray(values, float), len(self.part.mesh.faces)
         if values.ndim != 2 or len(values) != count:
             raise InputError(f"part {self.part.name}: an attribute of faces has shape {values.shape}; ({count}, 1 to 4) is needed")
-        return lookup(constant_table(values[self.part.topology.kept]), self.face)
+        return values
 
-    def texture(self, image: Node, uv: Node | None = None, wrap: str = "repeat", gradient: str = "exact") -> Node:
-        """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; see `texture.sample_texture`."""
+    def texture(self, image: Node, uv: Node | None = None, wrap: Wrap = "repeat", gradient: str = "exact", lod: Node | None = None) -> Node:
+        """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; with a level of detail the
+        trilinear one; see `texture.sample_texture`."""
         if gradient == "inverse_uv" and self.step is None:  # a picture that no phase steps: nobody asks for its gradient
             gradient = "none"
-        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step)
+        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step,
+                              lod=lod)
+
+    def level_of_detail(self, image: Node, corners: np.ndarray | None = None, bias: float = 0.0) -> Node:
+        """The mip level of an image at which a pixel sees texels of its own size, a float; corners: (F, 3, 2) coordinates by which it is
+        sampled, the part's own by default; see `texture.level_of_detail`."""
+        return level_of_detail(*self.slopes(self.uv_corners if corners is None else corners), image.extent, bias)
 
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""

@@ -29,21 +29,23 @@ from ..render.loss import (
     ssim_loss,
     uniform_laplacian,
 )
-from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, Product, Texture, Unlit, Vertex
 from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
-from ..render.raster import HardSoftRas, Outline, Renderer, Softness
+from ..render.pbr import PBR
+from ..render.raster import Binned, HardSoftRas, Outline, Renderer, Softness
 from ..render.schedule import Schedule
 from ..render.subdivision import Subdivision, subdivide
 from ..render.surface import Surface
-from ..render.tone import encode_srgb
+from ..render.tone import Tone, decode_srgb, encode_srgb
+from .file_scene import load_scene
 from .problem import Loss, Problem
 from .scene import Scene
 
-__all__ = ["Adam", "AdamUniform", "AdamW", "BlinnPhong", "Camera", "Clipped", "Corner", "F", "HardSoftRas", "Lambert",
-           "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "Problem", "Renderer", "Scaled", "Scene",
-           "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Unlit", "Vertex", "Views", "blend_shapes",
-           "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "depth_loss", "edge_length", "encode_srgb",
-           "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model",
-           "load_mesh", "load_parts", "load_views", "look_along", "look_at", "mean_square", "normal_consistency",
-           "normal_loss", "op", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png",
-           "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]
+__all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner", "F",
+           "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "PBR", "Problem", "Product",
+           "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Tone", "Unlit",
+           "Vertex", "Views", "blend_shapes", "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "decode_srgb",
+           "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited",
+           "linear_mesh", "linear_model", "load_mesh", "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square",
+           "normal_consistency", "normal_loss", "op", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts",
+           "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]

@@ -6,23 +6,21 @@ of one line: the job file, the key as table.key, what was found, what is allowed
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from ...cache.errors import InputError
 from ...cache.profile import Profile
-from ..io.images import srgb_to_linear
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.text import bounded, read_bytes, shown
 from . import sense
 from .job_scene import SceneJob, parse_scene
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
-from .sections import MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
+from .targets import Carried, at_once
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -43,9 +41,10 @@ class _Phase:
     soft: dict
 
 
-def load_job(path: str | Path, profiles: Sequence[Profile] = ()) -> Problem | SceneJob:
-    """The problem of a job file. What is too large for one of the `profiles` is said before pictures are decoded. Raises InputError,
-    naming the file and the key."""
+def load_job(path: str | Path, profiles: Sequence[Profile] = (), told: Callable[[int, int], None] | None = None,
+             carried: Carried = Carried()) -> Problem | SceneJob:  # noqa: B008  (frozen)
+    """The problem of a job file. What is too large for one of the `profiles` is said before pictures are decoded. told: called with how
+    many pictures of how many are read. carried: what the bundle has of them. Raises InputError, naming the file and the key."""
     path = Path(path)
     data = read_bytes(path, "job", MAX_FILE_BYTES)
     try:
@@ -56,18 +55,19 @@ def load_job(path: str | Path, profiles: Sequence[Profile] = ()) -> Problem | Sc
         raise InputError(f"{path}: not a job: nested too deeply; repair it") from None
     except ValueError as error:  # a TOMLDecodeError, or a number of thousands of digits
         raise InputError(f"{path}: not TOML: {shown(error)}; repair it") from None
-    return parse_job(document, path, profiles)
+    return parse_job(document, path, profiles, told, carried)
 
 
-def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()) -> Problem | SceneJob:
-    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. profiles: as in `load_job`."""
+def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = (),
+              told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> Problem | SceneJob:  # noqa: B008  (frozen)
+    """The problem of a parsed job; `path` is its file, for messages and for the paths in it. The rest: as in `load_job`."""
     path = Path(path)
     bounded(document, str(path))
     if "part" in document:
-        return parse_scene(document, path, profiles)
+        return parse_scene(document, path, profiles, told, carried)
     job = Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
     make_mesh = mesh_of(job.table("mesh", MESH), path.parent)
-    views_table, make_views = views_of(job, path.parent, fits_views(profiles))
+    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
     order = views_table.word("order", "batch", ORDERS)
     seed = views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
@@ -75,7 +75,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     if not phases:
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
     render, settings = _render(job)
-    lights = [light_of(x) for x in job.tables("light", ("kind", "power", "vector"))]
+    lights = [light_of(x) for x in job.tables("light", LIGHT)]
     if settings["shading"] == "unlit" and lights:
         raise InputError(f"{path}: light[0] is given, but render.shading is 'unlit'; "
                          "set render.shading = \"lambert\", or drop it")
@@ -88,15 +88,17 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     albedo = settings["albedo"] or _albedo(phases, mesh)
     textured = None if albedo != "texture" else settings["texture_size"] if mesh.texture is None else mesh.texture.shape[1::-1]
     height, width = views.images.shape[1:3]
-    render.checked(fits_scene, profiles, len(views), width * height, order, len(mesh.positions), len(mesh.faces), textured,
+    drawn = at_once(order, len(views), width, height, carried.whole)
+    render.checked(fits_scene, profiles, drawn, width * height, order, len(mesh.positions), len(mesh.faces), textured,
                    {name for phase in phases for name in phase.optimize}, settings["texture_grad"])
     if linear:
         mesh = linear_mesh(mesh)
-        views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
+        views = views.linear()
     moved = any("vertices" in phase.optimize for phase in phases)
     normals = settings["normals"] or ("smooth" if moved or mesh.normals is None else "file")
     problem = render.checked(
         Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights, normals=normals, judged=True,
+        **carried.of(len(views), width, height),
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
     problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
     side = max(problem.width, problem.height)

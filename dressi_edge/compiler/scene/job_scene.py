@@ -1,8 +1,8 @@
 """Jobs of several parts: [[part]] tables in, a `Scene` out. docs/job.md lists the keys.
 
 A part's parameters are named after it: `<part>.vertices`, `.rotation`, `.translation`, `.scale`, `.texture`, `.colors`, `.color`,
-`.specular`, `.gloss`; those of cameras `camera.rotation` and `camera.translation`; lights as ever. What no phase optimizes is a constant,
-but for textures, colours and lights.
+`.specular`, `.gloss`, `.roughness`, `.metallic`, `.emissive`; that of the picture `exposure`; those of cameras `camera.rotation` and
+`camera.translation`; lights as ever. What no phase optimizes is a constant, but for textures, colours and lights.
 """
 from __future__ import annotations
 
@@ -20,26 +20,32 @@ from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
-from ..io.images import srgb_to_linear
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
 from ..render import loss as losses
+from ..render.brdf import LEAST_ROUGHNESS
 from ..render.frame import Frame
 from ..render.geometry import similarity
 from ..render.light import Light
 from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
 from ..render.part import Part
+from ..render.pbr import PBR
 from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
-from ..render.tone import encode_srgb
+from ..render.tone import Tone, encode_srgb
 from . import sense
 from .limits import fits_views
 from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
-from .sections import MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, tone_of, views_of
 from .tables import Table
+from .targets import Carried, Targets, at_once, targets_of, windowed
 
-MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss")}
+MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
+             "pbr": ("color", "roughness", "metallic", "emissive")}
+KINDS = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong, "pbr": PBR}
+NUMBERS = {"specular": (0.3, 0.0), "gloss": (20.0, 1.0), "roughness": (0.5, 0.0, 1.0), "metallic": (0.0, 0.0, 1.0)}  # default, limits
+MAPS = ("roughness", "metallic")  # which may be a texture
 COLORS = ("texture", "colors")
 POSES = ("rotation", "translation", "scale")
 NORMS = {"l1": losses.l1, "l2": losses.l2, "huber": losses.huber, "ssim": losses.ssim_loss, "pyramid": losses.pyramid_l1}
@@ -48,17 +54,20 @@ OF_MESHES = {"laplacian": losses.uniform_laplacian, "cotangent_laplacian": losse
              "normal_consistency": lambda p, t, power: losses.normal_consistency(p, t),
              "edge_length": lambda p, t, power: losses.edge_length(p, t)}
 LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "specular": (0.0, None), "gloss": (1.0, None),
-          "scale": (1e-3, None)}
+          "scale": (1e-3, None), "roughness": (LEAST_ROUGHNESS, 1.0), "metallic": (0.0, 1.0), "emissive": (0.0, None)}
 
 
 @dataclass(frozen=True, eq=False)
 class SceneJob:
-    """The scene of a job, its pictures' names, the point that cameras turn about, and what its meta says of its frame."""
+    """The scene of a job, its pictures' names, the point that cameras turn about, what its meta says of its frame, its pictures, and
+    outputs that draw one view, with the input that says which."""
 
     scene: Scene
     images: tuple[str, ...]
     pivot: tuple[float, float, float]
     frame: dict
+    targets: Targets
+    shown: dict[str, str]
 
     @property
     def program(self) -> Program:
@@ -70,12 +79,14 @@ class SceneJob:
 
     def record(self) -> dict:
         """The meta of the bundle."""
-        return {**record(self.scene, self.images), "pivot": list(self.pivot), **self.frame}
+        return {**record(self.scene, self.images), "pivot": list(self.pivot), **self.frame,
+                **self.targets.meta(self.program, self.shown)}
 
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
         """Write the bundle; see `compiler.compile_program`."""
         self.program.meta.update(self.record())
-        return self.scene.compile(profile, path, **options)
+        self.program.attached["pictures"] = self.targets.blobs()
+        return self.scene.compile(profile, path, memory=self.targets.memory, **options)
 
 
 @dataclass(frozen=True)
@@ -115,7 +126,8 @@ class _PhaseTable:
     soft: dict
 
 
-def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) -> SceneJob:
+def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
+                told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
     job = Table(document, "", ("part", "views", "render", "light", "phase"), str(path))
     parts = [_part(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
@@ -123,14 +135,15 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
     if twice := [p.name for k, p in enumerate(parts) if p.name in [q.name for q in parts[:k]]]:
         raise InputError(f"{path}: two parts are called {twice[0]!r}; give each part a name of its own")
-    views_table, make_views = views_of(job, path.parent, fits_views(profiles))
+    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
     order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
     linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
-    render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background"), job.source)
+    render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background", "tone"), job.source)
     srgb, background, common = render.flag("srgb", False), render.numbers("background", 3, (0.0,) * 3, 0, 1), soft(render)
     if srgb and linear:
         raise render.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")
-    lights = [light_of(x) for x in job.tables("light", ("kind", "power", "vector"))]
+    tone = tone_of(render, srgb)
+    lights = [light_of(x) for x in job.tables("light", LIGHT)]
     if lights and all(p.kind == "unlit" for p in parts):
         raise InputError(f"{path}: light[0] is given, but no part's material has a use for it; make one lambert, or drop it")
     phases = [_phase(t, [p.name for p in parts]) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
@@ -147,9 +160,12 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
                         "normalize has moved and scaled a part, but not the cameras" * any(p.table.has("normalize") for p in parts),
                         all(p.table.has("path") for p in parts))
     if linear:
-        views = replace(views, images=np.concatenate([srgb_to_linear(views.images[..., :3]), views.images[..., 3:]], axis=-1))
+        views = views.linear()
     scene = Scene(views.cameras, background, encode_srgb if srgb else None)
     scene.program.meta.update(linear_albedo=linear or srgb, linear_images=linear)
+    if tone is not None:
+        exposure = scene.parameter("exposure", tone.exposure) if "exposure" in optimized else tone.exposure
+        scene.encode = replace(tone, exposure=exposure)
     builder = _Builder(scene, optimized, lights, linear or srgb)
     for p, mesh in zip(parts, meshes):
         p.table.checked(builder.part, p, mesh)
@@ -158,15 +174,17 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = ()) ->
         for key in phase.optimize:
             if key not in scene.parameters:
                 raise phase.table.conflict(f"optimize.{key} is no parameter of this job; there are: {' '.join(_known(scene, parts))}")
-    targets = scene.program.input("targets", scene.pictures_layout("vec4"), views.images, narrow=True)
+    targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
     side = max(scene.width, scene.height)
     for phase in phases:
         softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
         phase.table.checked(_add_phase, scene, phase, softness, order, seed, targets, background)
-    seen = scene.frame(renderer_of(SHARP))
+    one = windowed(order, len(views), scene.width, scene.height, carried.whole)
+    seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
     scene.output("render", color=compose(seen.color, seen.alpha))
     vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
-    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights))
+    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights), targets,
+                    {"render.color": "render.view"} if one else {})
 
 
 def _placed(p: _PartTable, mesh: Mesh) -> Mesh:
@@ -185,17 +203,19 @@ def _together(meshes: Sequence[Mesh]) -> Mesh:
 def _known(scene: Scene, parts: Sequence[_PartTable]) -> list[str]:
     """The names of all that may be optimized."""
     of_parts = [f"{p.name}.{key}" for p in parts for key in ("vertices", *POSES, *(k for k in MATERIALS[p.kind] if k != "color"))]
-    return sorted({*scene.parameters, *of_parts, "camera.rotation", "camera.translation"})
+    of_picture = ["exposure"] if isinstance(scene.encode, Tone) else []
+    return sorted({*scene.parameters, *of_parts, *of_picture, "camera.rotation", "camera.translation"})
 
 
 def _part(t: Table, folder: Path) -> _PartTable:
     name = t.word("name")
     if not name.replace("_", "").isalnum():
         raise t.wrong("name", name, "letters, digits and _ are allowed")
-    material = t.table("material", ("kind", "color", "texture_size", "wrap", "specular", "gloss")) if t.has("material") else \
+    material = t.table("material", ("kind", "color", "texture_size", "wrap", "two_sided", *NUMBERS, "emissive")) if t.has("material") else \
         Table({}, f"{t.where}.material", (), t.source)
     kind = material.word("kind", "unlit", tuple(MATERIALS))
-    if wrong := [key for key in material.has("specular", "gloss") if key not in MATERIALS[kind]]:
+    lit = () if kind == "unlit" else ("two_sided",)
+    if wrong := [key for key in material.has(*NUMBERS, "emissive", "two_sided") if key not in (*MATERIALS[kind], *lit)]:
         raise material.conflict(f"{wrong[0]} is no setting of {kind}; drop it")
     color = material.get("color", None)
     if isinstance(color, list):
@@ -203,8 +223,14 @@ def _part(t: Table, folder: Path) -> _PartTable:
     elif color is not None:
         color = material.word("color", allowed=COLORS)
     settings = {"color": color}
-    if kind == "blinn_phong":
-        settings |= {"specular": material.number("specular", 0.3, 0), "gloss": material.number("gloss", 20.0, 1.0)}
+    for key in NUMBERS.keys() & {*MATERIALS[kind]}:
+        default, *limits = NUMBERS[key]
+        mapped = key in MAPS and material.get(key, None) == "texture"
+        settings[key] = "texture" if mapped else material.number(key, default, *limits)
+    if kind == "pbr":
+        settings["emissive"] = material.numbers("emissive", 3, (0.0, 0.0, 0.0), low=0)
+    if lit:
+        settings["two_sided"] = material.flag("two_sided", False)
     pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}
     pose |= {"scale": t.number("scale", low=0.0, above=True)} if t.has("scale") else {}
     return _PartTable(t, name, mesh_of(t, folder), t.word("normals", None, NORMALS), kind, settings,
@@ -262,17 +288,30 @@ class _Builder:
             mesh = linear_mesh(mesh)
         positions, moved = self._positions(p, mesh)
         settings = {"color": self._color(p, mesh)}
-        settings |= {key: self._setting(f"{p.name}.{key}", x) for key, x in p.settings.items() if key != "color"}
+        settings |= {key: self._setting(p, mesh, key) for key in p.settings if key not in ("color", "two_sided")}
+        if "two_sided" in p.settings:
+            settings["two_sided"] = p.settings["two_sided"]
         if p.kind != "unlit":
             settings["lights"] = self._lights(p)
-        make = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong}[p.kind]
+        make = KINDS[p.kind]
         normals = p.normals or ("smooth" if moved or mesh.normals is None else "file")
         if moved and normals == "file":
             raise InputError("normals are \"file\", which do not turn with a part that moves; use flat or smooth")
         return self.scene.add(mesh, positions, make(**settings), p.name, normals)
 
-    def _setting(self, name: str, value):
-        """A number of a material, or the parameter of that name if it is optimized."""
+    def _setting(self, p: _PartTable, mesh: Mesh, key: str):
+        """A setting of a part's material: numbers, or the parameter of that name if it is optimized, or a texture."""
+        name, value = f"{p.name}.{key}", p.settings[key]
+        if value == "texture":
+            if mesh.uvs is None:
+                raise InputError(f"material.{key} is \"texture\", but the mesh has no texture coordinates; give a number, or a mesh that "
+                                 "has them")
+            image = np.full((*p.texture_size[::-1], 1), NUMBERS[key][0])
+            return Texture(self.scene.parameter(name, image, *LIMITS[key], kind="image"), p.wrap or mesh.wrap)
+        return self._number(name, value)
+
+    def _number(self, name: str, value):
+        """Numbers of a material, or the parameter of that name if it is optimized."""
         if name not in self.optimized:
             return value
         low, high = LIMITS[name.rpartition(".")[2]]
@@ -305,7 +344,7 @@ class _Builder:
             start = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None else mesh.colors
             own = self.scene.parameter(f"{named}colors", start, *LIMITS["colors"], kind="table")
             return Vertex(own) if mesh.color_faces is None else Corner(own, mesh.color_faces)
-        return self._setting(f"{named}color", color or (0.5, 0.5, 0.5))
+        return self._number(f"{named}color", color or (0.5, 0.5, 0.5))
 
     def _lights(self, p: _PartTable) -> list[Light]:
         """The lights, of which every part that is lit shares the parameters."""
@@ -323,9 +362,9 @@ class _Builder:
         return middle
 
 
-def _add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Node, background) -> None:
+def _add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
     frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed)
-    target, terms = frame.at(targets), {}
+    target, terms = targets.at(frame), {}
     for term in phase.terms:
         name = next(n for n in (term.kind, *(f"{term.kind}{k}" for k in range(2, 99))) if n not in terms)
         terms[name] = (term.weight, term.table.checked(_value, scene, term, frame, target, compose(*background)))
@@ -343,7 +382,7 @@ def _value(scene: Scene, term: _Term, frame: Frame, target: Node, background: No
         return OF_MESHES[term.kind](part.positions, part.topology, term.power)
     norm, alpha = NORMS[term.norm], target.w
     cell = {"cell": frame.cell} if term.norm in ("ssim", "pyramid") else {}
-    mask = {"mask": alpha} if term.masked else {}
+    mask = {"mask": alpha} if term.masked else {} if frame.border is None else {"mask": frame.border}
     if term.kind == "silhouette":
         return norm(frame.alpha, alpha, **cell, **mask)
     return norm(frame.color, target.xyz * alpha + background * (1.0 - alpha), **cell, **mask)

@@ -17,6 +17,7 @@ from ..graph.ops.texture_gradient import MAX_PIXELS
 from ..graph.program import Program
 from ..io.images import MAX_PIXELS as MAX_TEXELS
 from ..render.atlas import Atlas
+from .targets import at_once
 
 BYTES_PER_PIXEL = 110  # of all views together, at the peak of a compilation: measured for 4 to 18 million pixels
 BYTES_PER_TEXEL = 16  # in a bundle
@@ -103,10 +104,11 @@ def fits_scene(profiles: Sequence[Profile], views: int, pixels: int, order: str,
 def fits(problem, profiles: Sequence[Profile]) -> None:
     """Checks all of a `Problem` that is known before anything is compiled. Raises InputError."""
     views, pixels = len(problem.cameras), problem.width * problem.height
-    fits_views(profiles)(views, problem.width, problem.height)
+    drawn = at_once(problem.order, views, problem.width, problem.height, problem.whole)
+    fits_views(profiles)(drawn, problem.width, problem.height)
     texture = problem.program.values.get("texture")
     optimized = {name for spec in problem.program.plans for name in spec.updates}
-    fits_scene(profiles, views, pixels, problem.order, len(problem.mesh.positions), len(problem.mesh.faces),
+    fits_scene(profiles, drawn, pixels, problem.order, len(problem.mesh.positions), len(problem.mesh.faces),
                None if texture is None else texture.layout.size, optimized, problem.texture_grad)
     fits_program(problem.program, profiles, f"{views} views of {problem.width}x{problem.height} and {len(problem.mesh.faces)} faces")
 

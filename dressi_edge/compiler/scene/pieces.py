@@ -9,35 +9,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...cache.errors import BundleError
+from ...cache.errors import BundleError, note
 from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import Camera
+from ..io.gltf_lights import PlacedLight
 from ..io.images import linear_to_srgb, srgb_to_linear
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
-from ..render.light import Light
-from ..render.material import Corner, Texture, Unlit, Vertex
+from ..render.light import PLACED, Light
+from ..render.material import IDENTITY, Corner, Texture, Unlit, Vertex
+from .material_meta import Sources, described, pack, unpack
 
 GEOMETRY = "geometry"  # the plan that gives positions which are no values of their own
-
-
-def pack(array: np.ndarray, kind: str) -> dict:
-    """An array as a bundle's meta holds it; kind: a NumPy type of stated byte order."""
-    return {"type": kind, "shape": list(array.shape), "data": np.asarray(array, kind).tobytes()}
-
-
-def unpack(entry, name: str, kind: str, columns: int) -> np.ndarray:
-    """The (n, columns) array of an entry of a bundle's meta. Raises BundleError, naming it."""
-    try:
-        if entry["type"] != kind:
-            raise ValueError(f"type {entry['type']!r:.20}, not {kind}")
-        array = np.frombuffer(entry["data"], kind).reshape(-1, columns)
-        if list(array.shape if columns > 1 else array.shape[:1]) != entry["shape"]:
-            raise ValueError(f"shape {entry['shape']!r:.40}, not {list(array.shape)}")
-        return array
-    except (KeyError, TypeError, ValueError) as error:
-        raise BundleError(f"meta.{name} is malformed ({error}); compile the bundle again") from None
 
 
 def origin_in(meta: Mapping, name: str | None = None) -> np.ndarray:
@@ -52,14 +36,18 @@ def origin_in(meta: Mapping, name: str | None = None) -> np.ndarray:
 
 def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Light]) -> dict:
     """The meta of a frame whose origin is not the input's: where it is, and which values are points in it. Nothing for the input's own."""
-    points = [*vertices, *(f"light{k}.vector" for k, light in enumerate(lights) if light.kind == "point")]
+    points = [*vertices, *(f"light{k}.vector" for k, light in enumerate(lights) if light.kind in PLACED)]
     return {"origin": origin.tolist(), "points": points} if origin.any() else {}
 
 
 def seen_meta(program: Program, phases: Sequence[str], cameras: Sequence[Camera], size: tuple[int, int], images) -> dict:
-    """The meta of what is fitted to: phases with their steps, names of the pictures (or None), their size, cameras."""
+    """The meta of what is fitted to: phases with their steps, names of the pictures (or None), their size, and that of each where they
+    differ, cameras."""
+    sizes = [[c.width, c.height] for c in cameras]
     return {"phases": [[spec.name, spec.steps] for spec in program.plans if spec.name in phases],
             "images": list(images or (f"view {k}" for k in range(len(cameras)))), "image_size": list(size),
+            **({} if all(s == list(size) for s in sizes) else {"view_sizes": sizes}),
+            **({"camera_kinds": [c.kind for c in cameras]} if any(c.kind != "perspective" for c in cameras) else {}),
             "cameras": [[*map(float, c.world_to_camera[:3].reshape(-1)), c.fx, c.fy, c.cx, c.cy, c.near, c.far] for c in cameras]}
 
 
@@ -71,6 +59,9 @@ def record(scene, images: Sequence[str] | None = None) -> dict:
     for part in scene.parts:
         found = {"name": part.name, "faces": pack(np.asarray(part.mesh.faces), "<i4"), "unlit": isinstance(part.material, Unlit),
                  "color": _color(getattr(part.material, "color", None), names)}
+        more = described(part.material, names)
+        if more and (more["kind"] == "pbr" or not found["color"]):
+            found["material"] = more
         if part.mesh.uvs is not None:
             found |= {"uvs": pack(part.mesh.uvs, "<f8"), "uv_faces": pack(part.mesh.uv_faces, "<i4")}
         if part.normals == "file":
@@ -87,12 +78,28 @@ def record(scene, images: Sequence[str] | None = None) -> dict:
     if derived and not any(plan.name == GEOMETRY for plan in scene.program.plans):
         scene.output(GEOMETRY, **derived)
     seen = seen_meta(scene.program, scene.phases, scene.cameras, (scene.width, scene.height), images)
-    return {"parts": parts, **seen, "linear_albedo": scene.encode is not None, **scene.program.meta}
+    lights = lights_meta(scene, names)
+    return {"parts": parts, **seen, **lights, "linear_albedo": scene.encode is not None, **scene.program.meta}
+
+
+def lights_meta(scene, names: Mapping[Node, str]) -> dict:
+    """The meta of the lights of all parts, each once: numbers, or names of values. Nothing where there are none."""
+    found: list[dict] = []
+    for light in (light for part in scene.parts for light in getattr(part.material, "lights", ())):
+        entry = {"kind": light.kind, "cone": list(light.cone)}
+        for key in ("power", "vector", "direction"):
+            x = getattr(light, key)
+            if x is not None and not (isinstance(x, Node) and x not in names):
+                entry[key] = names[x] if isinstance(x, Node) else [float(c) for c in x]
+        if entry not in found:
+            found.append(entry)
+    return {"lights": found} if found else {}
 
 
 def _color(source, names: Mapping[Node, str]) -> dict:
     """Where the colour of a part comes from: a value of the session, or numbers. Nothing where it is worked out from more than that."""
-    if isinstance(source, Texture) and source.uv is None and source.image in names:
+    plain = isinstance(source, Texture) and source.uv is None and not source.srgb and source.wrap in ("repeat", "clamp")
+    if plain and source.image in names and tuple(map(tuple, source.transform)) == IDENTITY:
         return {"texture": names[source.image], "wrap": source.wrap}
     if isinstance(source, Vertex) and source.table in names:
         return {"vertices": names[source.table]}
@@ -132,6 +139,50 @@ def parts_of(session) -> list[Part]:
     return [_part(_Entry(session, entry, f"meta.parts[{k}]"), bool(meta.get("linear_albedo")), origin) for k, entry in enumerate(entries)]
 
 
+def lights_of(session) -> list[PlacedLight]:
+    """The lights as they are on the device now, but for ambient ones, which files do not have. Raises BundleError."""
+    meta = session.bundle.description["meta"]
+    origin, out = origin_in(meta), []
+    for k, entry in enumerate(meta.get("lights", ())):
+        where = f"meta.lights[{k}]"
+        if not isinstance(entry, Mapping) or not isinstance(entry.get("kind"), str):
+            raise BundleError(f"{where} is malformed; compile the bundle again")
+        if entry["kind"] == "ambient":
+            note("an ambient light is left out: glTF has none")
+            continue
+        e = _Entry(session, entry, where)
+
+        def number(key: str, default, e=e) -> np.ndarray:
+            x = e.meta.get(key, default)
+            x = e.value(x) if isinstance(x, str) else np.asarray(x, float)
+            if x.shape != (3,):
+                raise BundleError(f"{e.where}.{key} is malformed; compile the bundle again")
+            return x
+
+        power, vector = np.maximum(number("power", (1.0,) * 3), 0.0), number("vector", (0.0, 0.0, -1.0))
+        travels = number("direction", (0.0, 0.0, -1.0)) if entry["kind"] == "spot" else vector
+        out.append(PlacedLight(f"light{k}", entry["kind"], tuple(power.tolist()), tuple((vector + origin).tolist()),
+                               tuple((travels / (np.linalg.norm(travels) or 1.0)).tolist()), tuple(entry.get("cone", PlacedLight.cone))))
+    return out
+
+
+def cameras_of(session) -> list[tuple[str, Camera]]:
+    """The cameras with their names, in the input's frame, where they were when compiled. Raises BundleError."""
+    meta = session.bundle.description["meta"]
+    try:
+        width, height = meta["image_size"]
+        rows, names = np.array(meta["cameras"], np.float64).reshape(-1, 18), list(map(str, meta["images"]))
+        kinds, out = meta.get("camera_kinds", ["perspective"] * len(rows)), []
+        for name, row, kind in zip(names, rows, kinds, strict=True):
+            pose = np.eye(4)
+            pose[:3] = row[:12].reshape(3, 4)
+            pose[:3, 3] -= pose[:3, :3] @ origin_in(meta)
+            out.append((name, Camera(pose, *row[12:16].tolist(), width, height, *row[16:].tolist(), kind)))
+        return out
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError(f"meta.cameras is malformed ({error}); compile the bundle again") from None
+
+
 def _part(e: _Entry, linear: bool, origin: np.ndarray) -> Part:
     def stored(colors: np.ndarray) -> np.ndarray:
         colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
@@ -146,6 +197,10 @@ def _part(e: _Entry, linear: bool, origin: np.ndarray) -> Part:
     places = e.value(positions) if isinstance(positions, str) else unpack(positions, f"{e.where}.positions", "<f8", 3)
     mesh = Mesh(places + origin, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
                 normal_faces=e.array("normal_faces", "<i4", 3))
+    if isinstance(e.meta.get("material"), Mapping):
+        sources = Sources(e.meta["material"], e.where, e.value, mesh)
+        material, mesh = sources.material(name)
+        return Part(name, mesh, material, sources.uv_sets)
     material = Material(name, unlit=bool(e.meta.get("unlit")))
     if "texture" in color:
         mesh = replace(mesh, texture=stored(e.value(color["texture"])), wrap=color.get("wrap", "repeat"))

@@ -35,6 +35,7 @@ from ..render.tone import encode_srgb
 from . import sense
 from .limits import fits, profiles_of
 from .scene import ORDERS, Scene
+from .targets import targets_of, windowed
 
 SHADINGS = ("unlit", "lambert")
 ALBEDOS = ("texture", "colors", "constant")
@@ -72,7 +73,7 @@ class Loss:
             return MESH_LOSSES[self.kind](part.positions, part.topology, self.power)
         norm = terms.l1 if self.norm == "l1" else terms.l2
         alpha = target.w
-        mask = alpha if self.masked else None
+        mask = alpha if self.masked else frame.border
         if self.kind == "silhouette":
             return norm(frame.alpha, alpha, mask)
         return norm(frame.color, target.xyz * alpha + background * (1.0 - alpha), mask)
@@ -86,7 +87,9 @@ class Problem:
     order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one. shading "unlit" or "lambert" with `lights` and `normals`
     "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices); `srgb` decodes the mesh's texture and colours, and encodes
     the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. judged: the
-    start was asked for its sense already (`sense.check`). A mesh far from its origin is moved to it, with cameras and lights, by -`origin`.
+    start was asked for its sense already (`sense.check`). embed: whether the bundle has the pictures; memory: bytes for all images of the
+    device; whole: all pictures as floats at once (`targets.py`). A mesh far from its origin is moved to it, with cameras and lights, by
+    -`origin`.
     Raises InputError.
     """
 
@@ -106,6 +109,9 @@ class Problem:
     normals: str = "smooth"
     program: Program = field(default_factory=Program)
     judged: bool = False
+    embed: bool = True
+    memory: int | None = None
+    whole: bool = False
 
     def __post_init__(self):
         self.wrap = self.wrap or self.mesh.wrap
@@ -127,8 +133,6 @@ class Problem:
         self.cameras = self.views.cameras if isinstance(self.views, Views) else tuple(self.views)
         if not self.cameras:
             raise InputError("no cameras; at least one view is needed")
-        if len(sizes := {(c.width, c.height) for c in self.cameras}) > 1:
-            raise InputError(f"cameras have sizes {sorted(sizes)}; one size is needed")
         self.pivot = tuple(map(float, middle_of(self.mesh.positions)))
         self.scene = s = Scene(self.cameras, self.background, encode_srgb if self.srgb else None, self.program)
         self.width, self.height = s.width, s.height
@@ -143,8 +147,9 @@ class Problem:
         material = Lambert(color, lights) if self.shading == "lambert" else Unlit(color)
         self.part = s.add(self.mesh, self.parameters["vertices"], material, "mesh", self.normals)
         self.topology = self.part.topology
-        images = self.views.images if isinstance(self.views, Views) else None
-        self.targets = s.program.input("targets", s.pictures_layout("vec4"), images, narrow=True)
+        self._targets = targets_of(s, self.views if isinstance(self.views, Views) else None, self.order, self.seed, self.embed, self.memory,
+                                   self.whole)
+        self.targets, self._shown = self._targets.node, {}
 
     @property
     def phases(self) -> list[str]:
@@ -175,7 +180,7 @@ class Problem:
             if self.normals == "file" and self.shading == "lambert" and "vertices" in optimize:
                 raise InputError(f"phase {name} optimizes vertices, and normals are \"file\", which do not follow them; use flat or smooth")
             frame = s.frame(renderer_of(softness or Softness()), phase=name, order=self.order, seed=self.seed)
-            target, weighted = frame.at(self.targets), {}
+            target, weighted = self._targets.at(frame), {}
             for k, loss in enumerate(losses):
                 value = loss.term(frame, target, compose(*self.background)) if isinstance(loss, Loss) else loss(frame, target)
                 weighted[f"{k}"] = (loss.weight if isinstance(loss, Loss) else 1.0, value)
@@ -183,17 +188,23 @@ class Problem:
 
     def render(self, name: str = "render", softness: Softness | None = None, color: bool = True) -> None:
         """Add a plan that draws all views: output `<name>.color` (views, height, width, 4), RGBA with straight colour over the
-        background, or `<name>.silhouette` (views, height, width)."""
-        frame = self.scene.frame(renderer_of(softness or Softness()))
-        if color:
-            self.scene.output(name, color=compose(frame.color, frame.alpha))
+        background, or `<name>.silhouette` (views, height, width). Of many views that are not seen at once it draws one at a time, and the
+        session puts them together (`Session.get(view=..)`)."""
+        s, renderer = self.scene, renderer_of(softness or Softness())
+        if windowed(self.order, len(self.cameras), self.width, self.height, self.whole):
+            frame = s.frame(renderer, view=s.input(f"{name}.view", 0, integer=True))
+            self._shown[f"{name}.{'color' if color else 'silhouette'}"] = f"{name}.view"
         else:
-            self.scene.output(name, silhouette=frame.alpha)
+            frame = s.frame(renderer)
+        if color:
+            s.output(name, color=compose(frame.color, frame.alpha))
+        else:
+            s.output(name, silhouette=frame.alpha)
 
     def record(self) -> dict:
         """The meta of the bundle: what results are written of (`results.py`)."""
         from .results import record
-        return record(self)
+        return record(self) | self._targets.meta(self.program, self._shown)
 
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
         """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`."""
@@ -205,4 +216,5 @@ class Problem:
         if not self.judged:
             sense.check(self.mesh, self.views)
         self.program.meta.update(self.record())
-        return compile_program(self.program, profiles, path, **options)
+        self.program.attached["pictures"] = self._targets.blobs()
+        return compile_program(self.program, profiles, path, memory=self.memory, **options)

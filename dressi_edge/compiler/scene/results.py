@@ -6,7 +6,7 @@ What the bundle must carry for that is its "meta", written by `record`: faces, u
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,8 @@ from ..io.images import linear_to_srgb
 from ..io.mesh import Mesh
 from ..io.views import Views
 from ..io.writers import contact_sheet, loss_curve, save_json, save_mesh, save_parts
-from .pieces import frame_meta, origin_in, pack, parts_of, seen_meta, unpack
+from .material_meta import pack, unpack
+from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, seen_meta
 
 SHOWN = 8  # views in a contact sheet
 
@@ -88,32 +89,58 @@ def mesh_of(session) -> Mesh:
                 normals, normal_faces, None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
 
 
-def snapshot(session) -> np.ndarray | None:
-    """Every view as it is drawn now, (n, h, w, 4) straight RGBA, sRGB encoded; None where the bundle has no plan "render"."""
+def _views(session) -> int:
+    """How many there are to be drawn; 0 where the bundle has no plan "render"."""
+    name = next((name for name in ("render.color", "render.silhouette") if _has(session, name)), None)
+    return 0 if name is None else session.shape(name)[0]
+
+
+def drawn(session, view: int) -> np.ndarray:
+    """One view as it is drawn now, (h, w, 4) straight RGBA, sRGB encoded."""
     if _has(session, "render.color"):
-        return displayed(session, session.get("render.color"))
-    if _has(session, "render.silhouette"):
-        alpha = np.asarray(session.get("render.silhouette"))[..., None]
-        color = np.asarray(meta_of(session).get("albedo_color", [0.5] * 3), np.float64)
-        return np.concatenate([np.broadcast_to(color, (*alpha.shape[:3], 3)), alpha], axis=-1)
-    return None
+        return displayed(session, session.get("render.color", view=view)[None], first=view)[0]
+    alpha = np.asarray(session.get("render.silhouette", view=view))[..., None]
+    color = np.asarray(meta_of(session).get("albedo_color", [0.5] * 3), np.float64)
+    whole = np.concatenate([np.broadcast_to(color, (*alpha.shape[:2], 3)), alpha], axis=-1)
+    return displayed(session, whole[None], encoded=True, first=view)[0]
 
 
-def displayed(session, images: np.ndarray) -> np.ndarray:
-    """RGBA of the session as one looks at it: in [0, 1], sRGB encoded."""
+def snapshot(session, most: int | None = None) -> np.ndarray | None:
+    """Every view, or the first so many, as `drawn` gives one, (n, h, w, 4); None where the bundle has no plan "render"."""
+    count = _views(session)
+    return np.stack([drawn(session, k) for k in range(count if most is None else min(most, count))]) if count else None
+
+
+def displayed(session, images: np.ndarray, encoded: bool = False, first: int = 0) -> np.ndarray:
+    """RGBA of views of the session from `first` on as one looks at it: in [0, 1], sRGB encoded, nothing beside pictures that are smaller
+    than others."""
     images = np.clip(np.asarray(images, np.float64), 0.0, 1.0)
-    if meta_of(session).get("linear_images"):
+    try:
+        for image, (width, height) in zip(images, meta_of(session).get("view_sizes", ())[first:]):
+            image[height:], image[:, width:] = 0.0, 0.0
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"meta.view_sizes is malformed ({error}); compile the bundle again") from None
+    if meta_of(session).get("linear_images") and not encoded:
         images = np.concatenate([linear_to_srgb(images[..., :3]), images[..., 3:]], axis=-1)
     return images
 
 
-def targets(session) -> np.ndarray | None:
-    """The images to match, as `snapshot` gives the drawn ones."""
-    return displayed(session, session.get("targets")) if _has(session, "targets") else None
+def wanted(session, view: int) -> np.ndarray:
+    """One of the images to match, as `drawn` gives the drawn one."""
+    return displayed(session, session.get("targets", view=view)[None], first=view)[0]
 
 
-def measure(drawn: np.ndarray, wanted: np.ndarray) -> dict:
-    """IoU of the silhouettes at half coverage, and PSNR of the colours (dB) where both are at least that: mean, lowest."""
+def targets(session, most: int | None = None) -> np.ndarray | None:
+    """The images to match, or the first so many, as `snapshot` gives the drawn ones."""
+    if not _has(session, "targets"):
+        return None
+    count = session.shape("targets")[0]
+    return np.stack([wanted(session, k) for k in range(count if most is None else min(most, count))])
+
+
+def measure(drawn: Iterable[np.ndarray], wanted: Iterable[np.ndarray]) -> dict:
+    """Of pictures drawn and wanted, one at a time: IoU of the silhouettes at half coverage, and PSNR of the colours (dB) where both are at
+    least that: mean, lowest."""
     iou, psnr = [], []
     for a, b in zip(drawn, wanted):
         inside, target = a[..., 3] >= 0.5, b[..., 3] >= 0.5
@@ -134,34 +161,37 @@ def check(session) -> None:
         mesh_of(session)
 
 
-def save_result(session, path: str | Path) -> None:
-    """Writes what is on the device now as a mesh file: one surface, or the parts of a scene with their materials."""
+def save_result(session, path: str | Path, lights: bool = False, cameras: bool = False) -> None:
+    """Writes what is on the device now as a mesh file: one surface, or the parts of a scene with their materials; and, as glTF, with its
+    lights and the cameras that it was seen by, where they were when compiled."""
     if "parts" in meta_of(session):
-        save_parts(path, parts_of(session))
+        save_parts(path, parts_of(session), lights_of(session) if lights else (), cameras_of(session) if cameras else ())
     else:
         save_mesh(path, mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
 
 
 def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, float]]], before: np.ndarray | None,
-          metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = ()) -> dict:
+          metrics: Mapping, extra_rows: Sequence[tuple[str, Sequence[np.ndarray]]] = (), scene: bool = False) -> dict:
     """Writes OUT, and OUT's stem with _sheet.png, _loss.png and _metrics.json; gives the metrics, with what was measured.
 
     curves: losses by phase, (iterations done, loss). before: `snapshot` of the start. extra_rows: more rows for the sheet.
+    scene: the mesh file has lights and cameras, too.
     """
     out = Path(out)
     files = {"mesh": out, "sheet": out.with_name(f"{out.stem}_sheet.png"), "loss": out.with_name(f"{out.stem}_loss.png"),
              "metrics": out.with_name(f"{out.stem}_metrics.json")}
     metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
-    save_result(session, files["mesh"])
-    after, wanted = snapshot(session), targets(session)
+    save_result(session, files["mesh"], lights=scene, cameras=scene)
+    views = _views(session)
     rows = [(label, images[:SHOWN]) for label, images in
-            (("before", before), ("after", after), ("target", wanted), *extra_rows) if images is not None]
+            (("before", before), ("after", snapshot(session, SHOWN)), ("target", targets(session, SHOWN)), *extra_rows)
+            if images is not None]
     if rows:
         contact_sheet(rows, files["sheet"])
     else:
         del files["sheet"]
-    if after is not None and wanted is not None:
-        metrics["views"] = measure(after, wanted)
+    if views and _has(session, "targets"):
+        metrics["views"] = measure((drawn(session, k) for k in range(views)), (wanted(session, k) for k in range(views)))
         if not _has(session, "render.color"):
             metrics["views"] = {k: x for k, x in metrics["views"].items() if k.startswith("iou")}
     metrics |= _found(session)

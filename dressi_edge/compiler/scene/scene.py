@@ -180,11 +180,12 @@ class Scene:
         self.views = posed_views(fixed_views(self.cameras, (self.width, self.height)), rotation, translation, pivot)
 
     def lit(self, lights: Sequence[Light]) -> list[Light]:
-        """The lights with the parameters `light0.power`, `light0.vector`, ... for their numbers, made where they are missing."""
+        """The lights with the parameters `light0.power`, `light0.vector`, `light0.direction`, ... for their numbers, made where they are
+        missing."""
         found = []
         for k, light in enumerate(lights):
             own = {}
-            for key in ("power", "vector"):
+            for key in ("power", "vector", "direction"):
                 name, start = f"light{k}.{key}", getattr(light, key)
                 if start is not None:
                     own[key] = self.parameters[name].node if name in self.parameters else self.parameter(name, start)
@@ -203,13 +204,18 @@ class Scene:
             raise InputError(f"order is {order!r:.40}; allowed: {' '.join(ORDERS)}")
         if order == "batch":
             return None
-        n, rng = len(self.cameras), np.random.default_rng(seed)
-        table = np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
+        table = self.order_of(order, seed)
         return lookup(constant_table(table), apply("imod", step, len(table)))
 
-    def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0) -> Frame:
+    def order_of(self, order: str, seed: int = 0) -> np.ndarray:
+        """The view of each step, (n,), after which it begins again: order "cycle" or "shuffle"."""
+        n, rng = len(self.cameras), np.random.default_rng(seed)
+        return np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
+
+    def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0,
+              view: Node | None = None) -> Frame:
         """What the cameras see, by a renderer (`Outline()` unless given). With an order other than "batch" one view a step of `phase`; what
-        it is compared with is then `frame.at(pictures)`."""
+        it is compared with is then `frame.at(pictures)`. view: which one is drawn, an int of extent 1x1, such as an input."""
         if not self.cameras:
             raise InputError("no cameras; at least one view is needed")
         if not self.parts:
@@ -217,7 +223,7 @@ class Scene:
         if phase is None and order != "batch":
             raise InputError(f"order {order!r:.40} shows one view a step; name the phase whose steps these are")
         step = None if phase is None else self.step(phase)
-        chosen = self.view_of(step, order, seed)
+        chosen = self.view_of(step, order, seed) if view is None else view
         views, atlas = (self.views, self.atlas) if chosen is None else (self.views.choose(chosen), Atlas(self.width, self.height, 1, 1))
         parts = self.parts
         frame = Frame(Parts(tuple(parts)), views, atlas, renderer or Outline(), self.background, all_views=self.atlas, chosen=chosen,
@@ -329,9 +335,9 @@ class Scene:
                 product = total(dot(node, g))
                 inner = product if inner is None else inner + product
             found = gradients(inner, [self.parameters[key].node for key in wrt])
-            dynamic = frozenset(given)
-            self.program.plan(name, outputs=named, dynamic=dynamic, group=name)
-            self.program.plan(f"{name}.vjp", dynamic=dynamic, group=name, outputs={
+            dynamic, moving = frozenset(given), frozenset(wrt)
+            self.program.plan(name, outputs=named, dynamic=dynamic, group=name, moving=moving)
+            self.program.plan(f"{name}.vjp", dynamic=dynamic, group=name, moving=moving, outputs={
                 f"{name}.{key}.grad": (g, self.program.values[key].layout) for key, g in zip(wrt, found)})
             self.program.meta.setdefault("vjp", {})[name] = {"outputs": list(outputs), "wrt": list(wrt)}
 
@@ -353,13 +359,23 @@ class Scene:
             self._steps, self._frames, self.phases = steps, frames, phases
             raise
 
-    def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, **options) -> dict:
-        """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`."""
+    def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, record: bool = True, **options) -> dict:
+        """Write the bundle, for one profile or several, best first; its description. See `compiler.compile_program`.
+
+        record: the bundle says what its parts are made of, so that `run -o out.glb` can write them (`pieces.record`)."""
         from .. import compile_program
+        from .pieces import record as meta_of
         self.check()
         profiles, faces = profiles_of(profile), sum(len(part.mesh.faces) for part in self.parts)
         fits_program(self.program, profiles, f"{len(self.cameras)} views of {self.width}x{self.height} and {faces} faces")
-        return compile_program(self.program, profiles, path, **options)
+        before = dict(self.program.meta)
+        try:
+            if record and self.parts:
+                self.program.meta.update(meta_of(self))
+            return compile_program(self.program, profiles, path, **options)
+        finally:
+            self.program.meta.clear()
+            self.program.meta.update(before)
 
     def check(self) -> None:
         """Raises InputError where there is nothing to do, or a parameter that nothing depends on."""

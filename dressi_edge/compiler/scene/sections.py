@@ -1,10 +1,12 @@
 """What jobs of one mesh and of several parts have in common: views, lights, softness, optimizers, schedules; tables in, values out."""
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from ..io.decode import Masks
 from ..io.mesh import Mesh
 from ..io.meshes import load_mesh, load_texture, normalize
 from ..io.shapes import sphere
@@ -14,8 +16,10 @@ from ..render.light import Light
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
+from ..render.tone import CURVES, Tone
 from .tables import NEEDED, Table
 
+LIGHT = ("kind", "power", "vector", "direction", "cone")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
@@ -46,34 +50,60 @@ def mesh_of(t: Table, folder: Path) -> Callable[[], Mesh]:
     return make
 
 
-def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None]):
-    """Reads [views]; gives the table and a function that loads them."""
-    t = job.table("views", ("transforms", "gltf", "images", "size", "order", "seed", "color", "near", "far"))
+def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None], told: Callable[[int, int], None] | None = None):
+    """Reads [views]; gives the table and a function that loads them, and tells how many pictures of how many are read."""
+    t = job.table("views", ("transforms", "gltf", "images", "masks", "backdrop", "alpha", "missing", "size", "order", "seed", "color",
+                            "near", "far"))
     if len(t.has("transforms", "gltf")) != 1:
         raise t.conflict("transforms (a NeRF-style JSON or its folder) or gltf (cameras) is needed, and not both")
     transforms, gltf = t.file("transforms", folder, None), t.file("gltf", folder, None)
-    size = t.numbers("size", 2, None, 1, 16384, whole=True)
+    masks, skip = _masks_of(t, folder), t.word("missing", "error", ("error", "skip")) == "skip"
+    if isinstance(t.get("size", None), list):
+        size = t.numbers("size", 2, None, 1, 16384, whole=True)
+    else:
+        size = t.number("size", None, 1, 16384, whole=True)
     near, far = t.number("near", 0.05, 0.0, above=True), t.number("far", 100.0, 0.0, above=True)
     if far <= near:
         raise t.wrong("far", far, f"a number above near, {near:g}, is needed")
-    if gltf is not None and t.has("near", "far"):
-        raise t.conflict("near and far are for transforms; glTF cameras have their own")
+    if gltf is not None and (wrong := t.has("near", "far", "missing")):
+        raise t.conflict(f"{wrong[0]} is for transforms; " + ("every camera needs its picture" if wrong[0] == "missing" else
+                                                             "glTF cameras have their own near and far"))
     images = t.get("images", None)
     if (gltf is None) != (images is None):
         raise t.conflict("gltf and images belong together; transforms names its images itself")
     if images is not None:
-        listed = images if isinstance(images, list) else [images]
-        if not (listed and all(isinstance(i, str) and i for i in listed)):
-            raise t.wrong("images", images, "a folder or a list of files is needed")
-        listed = [t.path("images", folder, i) for i in listed]
-        images = listed if isinstance(images, list) else listed[0]
+        images = _files_of(t, "images", folder)
 
     def make() -> Views:
         if transforms is not None:
-            return t.checked(load_views, transforms, size, near, far, fits)
-        return t.checked(load_gltf_views, gltf, images, size, fits)
+            return t.checked(load_views, transforms, size, near, far, fits, told, masks, skip)
+        return t.checked(load_gltf_views, gltf, images, size, fits, told, masks)
 
     return t, make
+
+
+def _files_of(t: Table, key: str, folder: Path) -> Path | list[Path]:
+    """A folder, or a list of files."""
+    value = t.get(key)
+    listed = value if isinstance(value, list) else [value]
+    if not (listed and all(isinstance(i, str) and i for i in listed)):
+        raise t.wrong(key, value, "a folder or a list of files is needed")
+    files = [t.path(key, folder, i) for i in listed]
+    return files if isinstance(value, list) else files[0]
+
+
+def _masks_of(t: Table, folder: Path) -> Masks:
+    """Reads what [views] says of masks."""
+    whole = t.get("masks", None) is False
+    files = _files_of(t, "masks", folder) if t.has("masks") and not whole else None
+    premultiplied = t.word("alpha", "straight", ("straight", "premultiplied")) == "premultiplied"
+    if not t.has("backdrop"):
+        return Masks(tuple(files) if isinstance(files, list) else files, whole=whole, premultiplied=premultiplied)
+    if whole:
+        raise t.conflict("backdrop and masks = false are both given; the one cuts the object out, the other takes all")
+    b = t.table("backdrop", ("color", "within"))
+    return Masks(tuple(files) if isinstance(files, list) else files, b.numbers("color", 3, low=0, high=1),
+                 b.number("within", 0.1, 0.0, 1.0, above=True), premultiplied=premultiplied)
 
 
 def soft(t: Table) -> dict:
@@ -101,8 +131,22 @@ def light_of(t: Table) -> Light:
     else:
         power = (float(t.number("power", low=0)),) * 3
     if kind == "ambient" and t.has("vector"):
-        raise t.conflict("vector is for directional and point lights; an ambient light has none")
-    return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3))
+        raise t.conflict("vector is for directional, point and spot lights; an ambient light has none")
+    if kind != "spot" and (wrong := t.has("direction", "cone")):
+        raise t.conflict(f"{wrong[0]} is for spot lights; drop it")
+    spot = {"direction": t.numbers("direction", 3)} if kind == "spot" else {}
+    if t.has("cone"):
+        spot["cone"] = tuple(math.radians(a) for a in t.numbers("cone", 2, low=0, high=90))
+    return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3), **spot)
+
+
+def tone_of(render: Table, srgb: bool) -> Tone | None:
+    """Reads render.tone; None where there is none."""
+    if not render.has("tone"):
+        return None
+    t = render.table("tone", ("curve", "exposure", "white"))
+    return t.checked(Tone, t.word("curve", "linear", CURVES), float(t.number("exposure", 0.0, -60, 60)),
+                     float(t.number("white", 4.0, 0.0, above=True)), srgb)
 
 
 def optimizer_of(outer: Table, key: str, steps: int) -> Optimizer:

@@ -13,11 +13,11 @@ import numpy as np
 from ...cache.errors import InputError, note
 from ..io.cameras import Camera, inverse_rigid
 from ..io.mesh import Mesh, middle_of
+from ..io.pictures import COVERED, Mask
 from ..io.text import shown
 from ..io.views import Views
 
 SAMPLES = 4096  # vertices that stand for the mesh
-COVERED = 0.5  # alpha from which a pixel counts as the object
 NAMED = 3  # views that a note names
 
 
@@ -163,15 +163,9 @@ def agreement(found: Sight, masks: np.ndarray | None, cameras: Sequence[Camera])
     return float(np.mean(both / np.maximum(union, 1e-12)))
 
 
-def mask_boxes(images: np.ndarray) -> np.ndarray:
+def mask_boxes(masks: Sequence[Mask]) -> np.ndarray:
     """(n, 4) left, top, right, bottom in pixels of where alpha is half or more; NaN where it nowhere is."""
-    boxes = np.full((len(images), 4), np.nan)
-    for k, image in enumerate(images):
-        covered = image[..., 3] >= COVERED
-        columns, rows = np.flatnonzero(covered.any(axis=0)), np.flatnonzero(covered.any(axis=1))
-        if len(columns):
-            boxes[k] = columns[0], rows[0], columns[-1] + 1, rows[-1] + 1
-    return boxes
+    return np.array([mask.box or (np.nan,) * 4 for mask in masks], float)
 
 
 # ---- the checks
@@ -187,21 +181,20 @@ def check(mesh: Mesh, views: Views | Sequence[Camera], silhouettes: bool = False
         found = sight(mesh, cameras)
         masks = None
         if isinstance(views, Views):
-            masks = mask_boxes(views.images)
+            masks = mask_boxes(views.masks)
             _check_masks(views, masks, found, silhouettes)
         _check_place(mesh, cameras, names, found, masks, remark, placed)
         _check_lens(cameras, names)
 
 
 def _check_masks(views: Views, masks: np.ndarray, found: Sight, silhouettes: bool) -> None:
-    alpha = views.images[..., 3]
-    highest, full = alpha.reshape(len(views), -1).max(axis=1), (alpha >= 1.0).reshape(len(views), -1).all(axis=1)
+    highest, full = np.array([mask.highest for mask in views.masks]), np.array([mask.full for mask in views.masks])
     if (highest < COVERED).all():
         what = "0 everywhere" if highest.max() == 0.0 else f"at most {highest.max():.2g}"
         raise InputError(f"the mask is empty: alpha is {what} in {_all(len(views))}; alpha must be 1 where the object is, 0 elsewhere")
     if full.all():
-        extent = np.array([views.images.shape[2], views.images.shape[1]])
-        filled = np.nan_to_num(found.boxes[:, 2:] - found.boxes[:, :2]).prod(axis=1) >= 0.95 * extent.prod()
+        pixels = np.array([c.width * c.height for c in views.cameras])
+        filled = np.nan_to_num(found.boxes[:, 2:] - found.boxes[:, :2]).prod(axis=1) >= 0.95 * pixels
         text = f"alpha is 255 (opaque) everywhere in {_all(len(views))}, so the mask is the whole picture"
         if silhouettes and not filled.all():
             raise InputError(f"{text}, which no silhouette of the mesh can match; save the object's mask as the alpha")
@@ -211,8 +204,7 @@ def _check_masks(views: Views, masks: np.ndarray, found: Sight, silhouettes: boo
         note(f"the mask is empty in {empty}: alpha is nowhere half or more")
     if whole := _some(full, views.names):
         note(f"alpha is 255 (opaque) everywhere in {whole}, so the mask is the whole picture there")
-    border = np.concatenate([alpha[:, 0], alpha[:, -1], alpha[:, :, 0], alpha[:, :, -1]], axis=1) >= COVERED
-    if not full.any() and border.all():
+    if not full.any() and all(mask.border for mask in views.masks):
         note(f"the mask covers the border of {_all(len(views))} and not all inside; is it inverted? alpha must be 1 where the object is")
 
 

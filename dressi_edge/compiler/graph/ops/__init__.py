@@ -3,6 +3,7 @@
 from .. import operators
 from . import (
     arithmetic,
+    bins,
     compact,
     contour,
     half,
@@ -11,9 +12,13 @@ from . import (
     leaf,
     lookup,
     matrix,
+    mip_gradient,
+    mips,
+    packed,
     pixels,
     raster,
     reduce,
+    soft,
     stencil,
     tables,
     texture,

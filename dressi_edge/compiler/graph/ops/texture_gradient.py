@@ -25,15 +25,25 @@ LANE = 16  # entries a lane sums where a texel has more on average
 def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> Node:
     """The gradient of a texture of `extent` sampled at `uv` where `covered`, from the gradient of the samples."""
     footprint = apply("texture_footprint", uv, covered, width=extent.width, height=extent.height, wrap=wrap)
-    ordered = apply("texture_keys", footprint, width=extent.width, count=footprint.extent.count)
+    ordered = sorted_keys(footprint, extent.width, footprint.extent.count)
+    bins = apply("texture_bins", ordered, extent=extent)
+    rows = apply("texture_rows", bins)
+    return gathered(g, rows, apply("texture_list", rows, bins, ordered, footprint), 4 * footprint.extent.count)
+
+
+def sorted_keys(footprint: Node, width: int, count: int) -> Node:
+    """(texel, read) of the first `count` footprints, sorted by texel: the number of a lower corner in an image of this width."""
+    ordered = apply("texture_keys", footprint, width=width, count=count)
     run = 1
     while run < ordered.extent.width * ordered.extent.height:
         ordered = apply("merge_runs", ordered, constant(np.array([[[run]]])))  # data, not text: all passes share one pipeline
         run *= 2
-    bins = apply("texture_bins", ordered, extent=extent)
-    rows = apply("texture_rows", bins)
-    entries = apply("texture_list", rows, bins, ordered, footprint)
-    across, down = _split(extent, 4 * footprint.extent.count)
+    return ordered
+
+
+def gathered(g: Node, rows: Node, entries: Node, count: int) -> Node:
+    """For each texel of `rows` the sum of weight x g over its entries, of `count` in all."""
+    across, down = _split(rows.extent, count)
     if across == 1:
         return apply("texture_gather", g, rows, entries)
     y = apply("texture_gather_lanes", g, rows, entries, across=across, down=down)
@@ -317,8 +327,8 @@ def _lanes_ref(g, rows, entries, across, down):
 
 def _gather_infer(name, inputs, attrs):
     g, rows, entries = inputs
-    if _size(entries.extent) != _size(table(4 * g.extent.width * g.extent.height)):
-        raise GraphError(f"{name}: {entries!r} are not four entries for each texel of {g!r}")
+    if _size(entries.extent) not in [_size(table(n * g.extent.width * g.extent.height)) for n in (4, 8)]:
+        raise GraphError(f"{name}: {entries!r} are not four or eight entries for each texel of {g!r}")
     return g.vtype, rows.extent
 
 

@@ -112,7 +112,10 @@ class Span:
 
 class Fragments:
     """What a renderer gives, and what all of them share: one layer or more, how they compose, and attributes at their points. faces:
-    whether it matters which face a pixel shows, and not only whether there is one."""
+    whether it matters which face a pixel shows, and not only whether there is one. at_corners: `color` takes colours of the three corners
+    of each face, tables of views x faces, not of pixels."""
+
+    at_corners = False
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         self.clip, self.topology, self.atlas, self.softness, self.near, self.faces = clip, topology, atlas, softness, near, faces
@@ -133,6 +136,11 @@ class Fragments:
         t = self.topology
         behind = count_set(select(stop_gradient(self.clip).w >= self.near, 0, 1)) if t.closed.any() else constant_table(np.ones(1, int))
         return apply("rasterize_covered", self.clip, constant_table(np.column_stack([t.faces, t.closed])), behind, **self.draw)
+
+    @property
+    def drawn(self) -> Node:
+        """What is there once it is drawn which faces pixels show."""
+        return self.front
 
     def _listed_segments(self, edges: Compact) -> Node:
         """Those of listed edges."""
@@ -181,9 +189,16 @@ class Fragments:
         faces = (span or self).topology.sorted_faces
         return [lookup(table, np.tile(faces[:, k], self.atlas.views)) for k in range(3)]
 
-    def _clip_corners(self, span: Span | None) -> list[Node]:
+    def view_corners(self, table: Node, span: Span | None = None) -> list[Node]:
+        """The same of a table of views x vertices, of all parts."""
         faces, step = (span or self).topology.sorted_faces + (span.first_vertex if span else 0), self.topology.vertex_count
-        return [lookup(self.clip, np.concatenate([v * step + faces[:, k] for v in range(self.atlas.views)])) for k in range(3)]
+        return [lookup(table, np.concatenate([v * step + faces[:, k] for v in range(self.atlas.views)])) for k in range(3)]
+
+    def _screen_corners(self, layer: Layer, span: Span | None) -> list[Node]:
+        """The corners of the layer's face: x, y in pixels from the cell's centre times w, and w."""
+        scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        return [apply("swizzle", lookup(c, face, boxes), channels="xyw") * scale for c in self.view_corners(self.clip, span)]
 
     def barycentrics(self, layer: Layer, span: Span | None = None) -> list[Node]:
         """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
@@ -191,9 +206,7 @@ class Fragments:
 
         A point on an edge has nothing of the far corner, wherever that is: it is put across from the edge, as far away as the edge is
         long, so that the other two keep their digits however thin the face is. The gradient by it is 0 anyhow."""
-        scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
-        h = [apply("swizzle", lookup(c, face, boxes), channels="xyw") * scale for c in self._clip_corners(span)]
+        h = self._screen_corners(layer, span)
         a = [x.xy - layer.point * x.z for x in h]
         if layer.far is not None:
             start, stop = (stop_gradient(select(equal(layer.far, k), a[1], a[k])) for k in (0, 2))
@@ -207,6 +220,33 @@ class Fragments:
         b = [select(solid, clamp(x / total, 0.0, 1.0), 1 / 3) for x in e]
         norm = maximum(b[0] + b[1] + b[2], 1e-5)
         return [x / norm for x in b]
+
+    def slopes(self, layer: Layer, corners: np.ndarray, span: Span | None = None) -> tuple[Node, Node]:
+        """How a constant attribute of corners, (F, 3, c) as in `interpolate_constant`, changes from pixel to pixel across and down at the
+        layer's point: its derivatives, worked out from the face alone. Zero where the face is too thin for fp32 to tell; no gradient.
+
+        An attribute is sum(e u) / sum(e) with the edge functions e of `barycentrics`, which are linear in the point."""
+        topology = (span or self).topology
+        h = [stop_gradient(x) for x in self._screen_corners(layer, span)]
+        point = stop_gradient(layer.point)
+        a = [x.xy - point * x.z for x in h]
+        e = [_cross2(a[(k + 1) % 3], a[(k + 2) % 3]) for k in range(3)]
+        across = [h[(k + 2) % 3].z * a[(k + 1) % 3].y - h[(k + 1) % 3].z * a[(k + 2) % 3].y for k in range(3)]
+        down = [h[(k + 1) % 3].z * a[(k + 2) % 3].x - h[(k + 2) % 3].z * a[(k + 1) % 3].x for k in range(3)]
+        total = e[0] + e[1] + e[2]
+        size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
+        solid = absolute(total) > size * DEGENERATE
+        inverse = select(solid, 1.0, 0.0) / select(solid, total, 1.0)
+        b = [x * inverse for x in e]
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
+        face = self.face_in_view(layer, span)
+        values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
+        mean = b[0] * values[0] + b[1] * values[1] + b[2] * values[2]
+
+        def slope(by: list[Node]) -> Node:
+            return (by[0] * (values[0] - mean) + by[1] * (values[1] - mean) + by[2] * (values[2] - mean)) * inverse
+
+        return slope(across), slope(down)
 
     @property
     def view(self) -> Node:
@@ -244,7 +284,7 @@ class Fragments:
                             span: Span | None = None) -> Node:
         """An attribute of corners at the layer's point: a table, and (F, 3) which entry each corner has, of all of the mesh's faces."""
         weights, topology = weights or self.barycentrics(layer, span), (span or self).topology
-        index = np.take_along_axis(np.asarray(faces)[topology.kept], _order(topology), 1)
+        index = np.take_along_axis(np.asarray(faces)[topology.kept], order_of(topology), 1)
         face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
         values = [lookup(lookup(attribute, np.tile(index[:, k], self.atlas.views)), face, boxes) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
@@ -257,12 +297,12 @@ class Fragments:
                              span: Span | None = None) -> Node:
         """A constant attribute given at the corners of each face, (F, 3, c) in the order of the mesh's faces, all of them."""
         weights, topology = weights or self.barycentrics(layer, span), (span or self).topology
-        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], _order(topology)[..., None], 1)
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
         values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
 
-def _order(topology: Topology) -> np.ndarray:
+def order_of(topology: Topology) -> np.ndarray:
     """(F, 3): which corner of each face as the mesh has it is the first, second and third of the sorted one."""
     return np.argsort(topology.faces, axis=1, kind="stable")

@@ -17,7 +17,8 @@ from .softness import Softness
 
 
 class Renderer(Protocol):
-    """What a scene draws with. One of your own has this method."""
+    """What a scene draws with. One of your own has this method, and may have `seen_by(views: ViewTable) -> Renderer`, which is called first
+    and gives what then draws."""
 
     def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> Fragments:
         """clip: coordinates of views x vertices (docs/conventions.md), of all parts together; near: the smallest w in front of the

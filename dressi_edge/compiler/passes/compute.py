@@ -1,0 +1,84 @@
+"""Which substages are dispatched instead of drawn, where a profile has the limits for it.
+
+In: the stages of a plan with their domains. Out: the same, with `Substage.compute` set on those of pixelwise work that one invocation a
+texel can do: a stage of one substage, none of geometry, whose outputs have formats that shaders write without a feature, within the
+profile's storage images, resources and workgroups. The rest is drawn as before. What a texel is given is the same either way, and so
+are the images (`tests/test_compute.py`).
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ...cache import vulkan as v
+from ...cache.errors import InputError
+from ...cache.limits import COMPUTE
+from ...cache.profile import Profile
+from ..graph.formats import format_number, format_of
+from ..graph.ir import Extent
+from ..graph.optable import COUNT, FILTERED
+from .substage import FULL, LISTED, TEXELS, TILES, Stage, Substage
+
+NONE, OPS, PIXEL, ALL = COMPUTE
+GROUP = 64  # invocations of a workgroup: every device has 128
+NARROW = 8  # images of fewer columns are run through row by row, so that neighbours in number are neighbours in a workgroup
+
+
+def choose(compute: str | None, profile: Profile) -> str:
+    """What is computed for this profile: as asked for, or as the profile prefers. Raises InputError."""
+    if compute not in (None, *COMPUTE):
+        raise InputError(f"compute is {compute!r:.60}; allowed: {' '.join(COMPUTE)}")
+    return compute or profile.compute
+
+
+def local_size(extent: Extent) -> tuple[int, int]:
+    """Columns and rows of a workgroup over an image; of a narrow one, its entries in a row."""
+    return (GROUP, 1) if extent.width < NARROW else (8, GROUP // 8)
+
+
+def groups(extent: Extent) -> tuple[int, int]:
+    """How many workgroups cover an image."""
+    width, height = local_size(extent)
+    columns, rows = (extent.width * extent.height, 1) if extent.width < NARROW else (extent.width, extent.height)
+    return -(-columns // width), -(-rows // height)
+
+
+def hindrance(stage: Stage, profile: Profile) -> str:
+    """Why a stage is drawn and not dispatched, in words; nothing if it need not be."""
+    if len(stage.substages) > 1:
+        return "several substages in one pass"
+    s = stage.substages[0]
+    if s.raster:
+        return "geometry"
+    for n in s.outputs:
+        if format_number(n) not in v.STORABLE.values():
+            return f"{format_of(n)} takes a feature to be written"
+        if not profile.format_has(format_of(n), "storage"):
+            return f"{format_of(n)} is no storage image"
+    return "; ".join(excess(s, profile))
+
+
+def excess(s: Substage, profile: Profile) -> list[str]:
+    """What breaks a limit if it is dispatched, one line each."""
+    images = {(x, m == FILTERED) for x, m in s.reads if m != COUNT}
+    sampled = len(images) + (s.domain.kind == TILES and (s.domain.by, False) not in images) + (s.domain.kind == LISTED)
+    width, height = local_size(s.extent)
+    counts = {"maxPerStageDescriptorStorageImages": len(s.outputs), "maxDescriptorSetStorageImages": len(s.outputs),
+              "maxPerStageDescriptorSampledImages": sampled, "maxDescriptorSetSampledImages": sampled,
+              "maxPerStageDescriptorSamplers": sum(filtered for _, filtered in images), "maxPerStageResources": sampled + len(s.outputs),
+              "maxComputeWorkGroupInvocations": width * height}
+    lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
+             for name, found in counts.items() if found > profile.limit(name)]
+    for name, found in (("maxComputeWorkGroupSize", (width, height, 1)), ("maxComputeWorkGroupCount", (*groups(s.extent), 1))):
+        if any(map(int.__gt__, found, profile.limit(name))):
+            lines.append(f"needs {found} {name}; profile {profile.name} allows {profile.limit(name)}")
+    return lines
+
+
+def find_compute(stages: Sequence[Stage], profile: Profile, kind: str) -> tuple[Stage, ...]:
+    """The stages, those that can be dispatched so as far as `kind` asks for it."""
+    def wanted(stage: Stage) -> bool:
+        return kind == ALL or kind == PIXEL and stage.substages[0].domain.kind in (FULL, TEXELS)
+
+    return tuple(stage if not wanted(stage) or hindrance(stage, profile) else
+                 replace(stage, substages=(replace(stage.substages[0], compute=True),)) for stage in stages)

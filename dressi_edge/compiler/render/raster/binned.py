@@ -1,0 +1,232 @@
+"""Every face near a pixel, without layers: lists of faces by tile, and an online softmax over them (docs/conventions.md, "Every face").
+
+Published as SoftRas (Liu et al. 2019) and PyTorch3D's `softmax_rgb_blend`. Colours are those of the faces' corners, linear on the face.
+"""
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ....cache.errors import InputError
+from ...graph.functions import absolute, apply, clamp, compose, lookup, select
+from ...graph.ir import UNIT, Node, table
+from ...graph.ops.bins import Binned as Lists
+from ...graph.ops.bins import Grid, bin_faces
+from ...graph.ops.soft import LEAST, listed_attrs, pair_attrs
+from ..atlas import Atlas
+from ..camera import ViewTable
+from ..topology import Topology
+from .fragments import Fragments, Layer, screen_segments
+from .softness import Softness
+
+FARTHEST = 1e8  # pixels from the middle of the picture
+
+
+@dataclass(frozen=True)
+class Range:
+    """How depth is normalized: 1 at `near` units before the camera, 0 at `far`. Where `parallel` is 1 (or a table of views, 1 for those)
+    it is what clip coordinates have: orthographic views."""
+
+    near: float
+    far: float
+    parallel: bool | Node = False
+
+    @property
+    def base(self) -> float:
+        """What is added to depths to have them normalized. They are kept without it, as -distance / (far - near), with all their
+        digits."""
+        return 1.0 if self.parallel is True else self.far / (self.far - self.near)
+
+    def depth(self, clip: Node, vertices: int, views: int) -> Node:
+        """Of clip coordinates, views x vertices: less where it is further."""
+        by_distance = clip.w * (-1.0 / (self.far - self.near))
+        if self.parallel is False:
+            return by_distance
+        by_plane = clip.z / clip.w * -1.0 + (1.0 - self.base)
+        if self.parallel is True:
+            return by_plane
+        flat = lookup(self.parallel, np.repeat(np.arange(views), vertices)) if views > 1 else self.parallel
+        return select(flat > 0.5, by_plane, by_distance)
+
+    def nearest(self, near: float) -> float:
+        """The depth of the cameras' near plane."""
+        flat = 1.0 - self.base
+        return flat if self.parallel is True else max(-near / (self.far - self.near), flat if self.parallel is not False else -math.inf)
+
+
+class BinnedFragments(Fragments):
+    """What pixels show in front is drawn hard, as one layer; `silhouette` and `color` are of all faces near them."""
+
+    at_corners = True
+
+    def __init__(self, clip: Node, topology: Topology, atlas: Atlas, settings: Binned, span: Range, near: float, faces: bool):
+        self.clip, self.topology, self.atlas, self.near, self.faces = clip, topology, atlas, near, faces
+        self.settings, self.softness, self.position = settings, Softness(settings.r), atlas.position
+        self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
+        self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
+                     "face_count": len(topology.faces), "near": float(near), **self.cells}
+        self.grid = Grid(atlas.views, len(topology.faces), atlas.width, atlas.height, atlas.columns, settings.tile)
+        self.range, self.blend = span, None
+        self.pair = pair_attrs(self.grid, settings.r, settings.width, settings.squared, settings.hard, span.nearest(near))
+
+    @cached_property
+    def ends(self) -> list[np.ndarray]:
+        t = self.topology
+        return [np.concatenate([v * t.vertex_count + t.edges[:, k] for v in range(self.atlas.views)]) for k in (0, 1)]
+
+    @cached_property
+    def segments(self) -> Node:
+        return screen_segments((lookup(apply("stop_gradient", self.clip), e) for e in self.ends), self.atlas, self.near)
+
+    @cached_property
+    def front(self) -> Node:
+        return self._front() if self.faces else self._covered()
+
+    @property
+    def drawn(self) -> Node:
+        return self.front if self.blend is None else self.blend
+
+    @cached_property
+    def layers(self) -> list[Layer]:
+        hard = self.front >= 0
+        nowhere = apply("broadcast", 0.0, extent=self.atlas.extent)
+        return [Layer(self.front if self.faces else None, hard, nowhere, apply("to_float", hard), self.position)]
+
+    @cached_property
+    def places(self) -> list[Node]:
+        """Of each view's faces the three corners: (x, y, near / w, depth), tables of views x faces."""
+        a, t, least = self.atlas, self.topology, max(self.near * 1e-6, 1e-30)
+        w = select(absolute(self.clip.w) < least, select(self.clip.w < 0.0, -least, least), self.clip.w)
+        place = clamp(self.clip.xy * compose(a.width / 2, a.height / 2) / w, -FARTHEST, FARTHEST)
+        corner = compose(place.x, place.y, self.near / w, self.range.depth(self.clip, t.vertex_count, a.views))
+        return self.view_corners(corner)
+
+    @cached_property
+    def boxes(self) -> Node:
+        """The pixels near each face."""
+        where = {key: self.pair[key] for key in ("cell_w", "cell_h", "columns", "face_count")}
+        reach = (0.0 if self.settings.hard else self.settings.r) + 0.05
+        return apply("soft_boxes", *(apply("stop_gradient", x) for x in self.places), reach=reach, **where)
+
+    @cached_property
+    def lists(self) -> Lists:
+        """Which faces come near each tile."""
+        return bin_faces(self.boxes, self.grid, self.settings.pairs)
+
+    @property
+    def _listed(self) -> tuple[tuple[Node, ...], dict]:
+        return (self.boxes, self.lists.ranges, self.lists.faces), {**listed_attrs(self.grid, self.atlas.extent), **self.pair}
+
+    def silhouette(self) -> Node:
+        """1 - prod(1 - D) of all faces."""
+        if self.blend is not None:
+            return self.blend.w
+        where, attrs = self._listed
+        return apply("soft_alpha", *self.places, *where, **attrs)
+
+    def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
+        """Colours of the three corners, vec3 tables of views x faces, as all faces blend over a background."""
+        if len(shaded) != 3 or any(x.vtype != "vec3" or x.extent not in (UNIT, self._table) for x in shaded):
+            raise InputError(f"Binned blends what the corners of faces show: three vec3 tables of {self._table} are needed, "
+                             f"got {list(shaded)!r:.80}")
+        background = background if isinstance(background, Node) and background.channels == 3 else compose(*[background] * 3)
+        shaded = [x if x.extent == self._table else apply("broadcast", x, extent=self._table) for x in shaded]
+        where, attrs = self._listed
+        depth = {"gamma": float(self.settings.gamma), "base": float(self.range.base)}
+        inputs = *self.places, *shaded
+        sums, most = (apply(name, *inputs, *where, **attrs, **depth, least=LEAST - self.range.base) for name in ("soft_sums", "soft_most"))
+        blend = apply("soft_blend", sums, most, background, *inputs, self.boxes, over=int(self.settings.over), **self.pair, **depth)
+        self.blend = blend if self.blend is None else self.blend
+        return blend.xyz
+
+    @property
+    def _table(self):
+        return table(self.grid.views * self.grid.faces)
+
+
+@dataclass(frozen=True)
+class Binned:
+    """Every face within r pixels of a pixel has a say in it, however many there are: its probability D is the sigmoid of its signed
+    distance over sigma (of the square of the distance where `squared`), alpha is 1 - prod(1 - D), and its weight in the colour
+    D exp((z - z_max) / gamma), z the depth, 1 at the near end of a range and 0 at the far end. So hidden faces have gradients, too.
+
+    r, sigma: in pixels (squared pixels where `squared`); sigma is r / 7 unless given, r^2 / 9.21 where `squared`. depth: (near, far) of the
+    range in units of the scene, those of the cameras unless given. over: the faces' mean colour is laid over the background by alpha;
+    else the background has a weight of its own, as in SoftRas and PyTorch3D. hard: only faces that cover the pixel count, with D = 1:
+    nothing is soft at outlines. tile: pixels of the tiles that have lists; pairs: places in the list, enough for 8 tiles a face unless
+    given. What does not fit is not left out: tiles then go through longer lists, slowly.
+
+    Colours are worked out at the corners of faces and are linear on the face (Gouraud shading): exact for colours of vertices and corners,
+    constant colours and normals "flat"; materials that read a texture or a pixel are refused. Raises InputError."""
+
+    r: float = 2.0
+    sigma: float | None = None
+    gamma: float = 1e-4
+    depth: tuple[float, float] | None = None
+    squared: bool = False
+    over: bool = False
+    hard: bool = False
+    tile: tuple[int, int] = (8, 8)
+    pairs: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in (("r", 0.0), ("sigma", 1e-12), ("gamma", 1e-9)):
+            x = getattr(self, name)
+            if not (x is None and name == "sigma") and (isinstance(x, bool) or not isinstance(x, int | float) or not least < x < 1e6):
+                raise InputError(f"Binned: {name} is {x!r:.40}; a number above {least:g} and below 1e6 is needed")
+        if self.width < 1e-12:
+            raise InputError(f"Binned: sigma is {self.width:g}; a number above 1e-12 is needed: give a larger r, or a sigma")
+        if self.depth is not None:
+            near, far = self.depth if isinstance(self.depth, tuple) and len(self.depth) == 2 else (math.nan, math.nan)
+            if not (math.isfinite(near) and math.isfinite(far) and 0 <= near < far < 1e30 and far - near > 1e-6 * far):
+                raise InputError(f"Binned: depth is {self.depth!r:.40}; (near, far) with 0 <= near < far is needed")
+        if not (isinstance(self.tile, tuple) and len(self.tile) == 2 and all(type(x) is int and 1 <= x <= 64 for x in self.tile)):
+            raise InputError(f"Binned: tile is {self.tile!r:.40}; (width, height), each from 1 to 64 pixels, is needed")
+        if self.pairs is not None and (type(self.pairs) is not int or not 1 <= self.pairs < 1 << 26):
+            raise InputError(f"Binned: pairs is {self.pairs!r:.40}; a whole number from 1 to {(1 << 26) - 1} is needed")
+
+    @property
+    def width(self) -> float:
+        """sigma in force."""
+        if self.sigma is not None:
+            return float(self.sigma)
+        return self.r ** 2 / math.log(1e4 - 1) if self.squared else self.r / 7
+
+    @staticmethod
+    def pytorch3d(size: tuple[int, int], sigma: float = 1e-4, gamma: float = 1e-4, blur_radius: float | None = None, znear: float = 1.0,
+                  zfar: float = 100.0) -> Binned:
+        """The settings of PyTorch3D's `BlendParams`, `RasterizationSettings` and `softmax_rgb_blend` for pictures of (width, height), with
+        K no less than the layers there are. Its distances are squares in units of half the shorter side; blur_radius is
+        log(1 / 1e-4 - 1) sigma unless given."""
+        unit = (min(size) / 2) ** 2
+        blur = math.log(1e4 - 1) * sigma if blur_radius is None else blur_radius
+        return Binned(math.sqrt(blur * unit), sigma * unit, gamma, (znear, zfar), squared=True)
+
+    def seen_by(self, views: ViewTable) -> Seen:
+        """This renderer with what it is to know of the views: the range of depth, and which are orthographic."""
+        near, far = self.depth or (views.near, views.far)
+        return Seen(self, Range(near, far, views.parallel))
+
+    def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> BinnedFragments:
+        """See `Renderer.draw`: of perspective views, with a `depth`."""
+        if self.depth is None:
+            raise InputError("Binned: nothing says which depths are told apart; give depth=(near, far), in units of the scene")
+        return Seen(self, Range(*self.depth)).draw(clip, topology, atlas, near, faces)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A `Binned` that knows its range of depth."""
+
+    settings: Binned
+    span: Range
+
+    def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> BinnedFragments:
+        """See `Renderer.draw`."""
+        return BinnedFragments(clip, topology, atlas, self.settings, self.span, near, faces)
+
+

@@ -1,0 +1,171 @@
+"""The pictures that a scene is fitted to: how they lie on the device, and how they come there.
+
+Few of them (`SMALL`) are on the device and in the bundle, as floats. Of more, pictures of 8 bits stay so: an int a pixel, taken apart in
+the shader to the same bits. Where a step sees one view, the device has a window of some views at a time, which the session fills in the
+order that is known beforehand (`cache/feed.py`); pictures are then in the bundle compressed, or not at all.
+
+In: a scene, its views, the order of steps. Out: `Targets`, whose `at` is what a frame is compared with, and the bundle's meta.
+"""
+from __future__ import annotations
+
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ...cache.feed import differences
+from ...cache.layout import Layout
+from ..graph.functions import apply, to_int
+from ..graph.ir import Node, topological
+from ..graph.ops.packed import unorm8
+from ..io.again import recorded
+from ..io.color import srgb_to_linear
+from ..io.pictures import AS_FLOAT, Pictures
+from ..io.views import Views
+from ..render.atlas import COMMON_SIDE, Atlas
+from ..render.frame import Frame
+
+SMALL = 1 << 20  # pixels of all views together up to which pictures are floats, all of them on the device and in the bundle
+SLOTS = 32  # views in a window: a step does not wait for the picture of the next
+WINDOW_BYTES = 1 << 26  # of pictures on the device, unless said otherwise
+SHARE = 4  # of a budget for all images a window takes one part in so many
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What a command says of pictures and memory. embed: whether the bundle has the pictures; None: those of few views alone. memory: bytes
+    for all images of the device, None for what is usual. whole: all pictures as floats at once, whatever they take, as a reference has
+    them."""
+
+    embed: bool | None = None
+    memory: int | None = None
+    whole: bool = False
+
+    def of(self, count: int, width: int, height: int) -> dict:
+        """The arguments of `targets_of` and `Problem` for so many views."""
+        embed = not large(count, width, height) if self.embed is None else self.embed
+        return {"embed": embed, "memory": self.memory, "whole": self.whole}
+
+
+def large(count: int, width: int, height: int) -> bool:
+    """Whether so many views are more than lie on the device as floats by themselves."""
+    return count * width * height > SMALL
+
+
+def windowed(order: str, count: int, width: int, height: int, whole: bool = False) -> bool:
+    """Whether a step and a drawing need one view on the device at a time."""
+    return order != "batch" and not whole and large(count, width, height)
+
+
+def at_once(order: str, count: int, width: int, height: int, whole: bool = False) -> int:
+    """How many views lie side by side on the device at the most."""
+    return 1 if windowed(order, count, width, height, whole) else count
+
+
+def slots_for(count: int, width: int, height: int, bytes_a_pixel: int, memory: int | None) -> int:
+    """How many views a window has: within its bytes and in an image that every device has, of this `memory` for all images."""
+    room = WINDOW_BYTES if memory is None else memory // SHARE
+    most = max(1, min(count, SLOTS, room // (width * height * bytes_a_pixel)))
+    fits = [n for n in range(1, most + 1) if max(_extent(width, height, n)) <= COMMON_SIDE]
+    return max(fits, default=1)
+
+
+def _extent(width: int, height: int, n: int) -> tuple[int, int]:
+    extent = Atlas.of(width, height, n).extent
+    return extent.width, extent.height
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """node: the input. slots: the cells of its image. order: the view of each step, (n,), where the image is a window. bits: 8 or 32 a
+    channel. table: (256,) float32, what 8 bits of a colour stand for, where that is not k / 255. views: the pictures, where they come
+    from outside the program. embed: whether the bundle has them. memory: bytes for all images, if that was
+    said."""
+
+    node: Node
+    slots: Atlas
+    order: np.ndarray | None = None
+    bits: int = 32
+    table: np.ndarray | None = None
+    views: Views | None = None
+    embed: bool = False
+    memory: int | None = None
+
+    @property
+    def fed(self) -> bool:
+        """Whether the session brings the pictures to the device."""
+        return self.views is not None
+
+    def at(self, frame: Frame) -> Node:
+        """vec4: the pictures of the views of a frame, straight colour and alpha."""
+        node = self.node
+        if self.order is not None:
+            corner = self.slots.corner(apply("imod", frame.step, self.slots.views))
+            node = apply("fetch", node, to_int(frame.pixel) + corner)
+        else:
+            node = frame.at(node)
+        return unorm8(node, self.table) if self.bits == 8 else node
+
+    def meta(self, program, shown: dict[str, str]) -> dict:
+        """What a session must know to bring pictures to the device: meta.pictures (docs/bundle-format.md). shown: outputs that draw one
+        view, and the input that says which."""
+        if not self.fed:
+            return {}
+        pictures, n = self.views.images, len(self.views)
+        steps = {}
+        for spec in program.plans if self.order is not None else ():
+            leaves = {x.name for x in topological([*spec.updates.values(), *spec.outputs.values()]) if x.op.held}
+            if self.node.name in leaves:
+                steps[spec.name] = f"{spec.group}.step"
+        found = {"value": self.node.name, "views": n, "bits": self.bits,
+                 "table": None if self.table is None else self.table.astype("<f4").tobytes(),
+                 "order": None if self.order is None else self.order.astype("<i4").tobytes(), "steps": steps, "shown": shown,
+                 "names": list(self.views.names), "size": [self.slots.width, self.slots.height], "files": [], "blobs": []}
+        if isinstance(pictures, Pictures):
+            found |= recorded(pictures)
+        return {"pictures": found}
+
+    def blobs(self) -> list[bytes]:
+        """The pictures as a bundle has them: zlib of the differences of their rows."""
+        if not self.fed or not self.embed:
+            return []
+        images = self.views.images
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(lambda k: zlib.compress(differences(self._rows(images, k)), 3), range(len(images))))
+
+    def _rows(self, images, k: int) -> np.ndarray:
+        if self.bits == 8:
+            return images.rows(k) if isinstance(images, Pictures) else np.rint(images[k] * np.float32(255.0)).astype(np.uint8)
+        return images.picture(k) if isinstance(images, Pictures) else np.asarray(images[k], np.float32)
+
+
+def targets_of(scene, views: Views | None, order: str, seed: int, embed: bool = True, memory: int | None = None,
+               whole: bool = False) -> Targets:
+    """The input "targets" of a scene, the pictures of `views` (None: the session sets them). embed: whether the bundle has them. memory:
+    bytes for all images of the device, None for what is usual. whole: all of them as floats whatever they take, as a reference has them."""
+    program, count, width, height = scene.program, len(scene.cameras), scene.width, scene.height
+    if memory is not None and (type(memory) is not int or memory < 1):
+        raise InputError(f"memory is {memory!r:.40}; a number of bytes above 0 is needed")
+    few = not large(count, width, height)
+    if views is None or whole or few and embed:
+        images = None if views is None else np.asarray(views.images)
+        return Targets(program.input("targets", scene.pictures_layout("vec4"), images, narrow=True), scene.atlas, memory=memory)
+    images = views.images
+    if isinstance(images, Pictures):
+        bits, linear = images.bits, images.linear
+    else:
+        bits, linear = 8 if all(np.array_equal(AS_FLOAT[_bytes(x)], x) for x in images) else 32, False
+    table = srgb_to_linear(AS_FLOAT) if linear else None
+    atlas, steps = scene.atlas, None
+    if windowed(order, count, width, height, whole):
+        slots = slots_for(count, width, height, 4 if bits == 8 else 16, memory)
+        if slots < count:
+            atlas, steps = Atlas.of(width, height, slots), scene.order_of(order, seed)
+    layout = Layout("atlas", "int" if bits == 8 else "vec4", atlas.width, atlas.height, atlas.views, atlas.columns)
+    return Targets(program.input("targets", layout, narrow=True), atlas, steps, bits, table, views, embed, memory)
+
+
+def _bytes(image: np.ndarray) -> np.ndarray:
+    return np.rint(image * np.float32(255.0)).astype(np.uint8)

@@ -1,0 +1,463 @@
+"""Pictures that are brought to the device view by view: the same bits as with all of them there, whatever the window, the order and where
+they come from; what is missing or wrong is named."""
+
+import shutil
+import zlib
+
+import msgpack
+import numpy as np
+import pytest
+from PIL import Image
+from test_views import write_views
+
+from dressi_edge import runtime
+from dressi_edge.cache import bundle as bundles
+from dressi_edge.cache.errors import BundleError, InputError
+from dressi_edge.cache.feed import Feed, differences, summed
+from dressi_edge.cache.layout import Layout
+from dressi_edge.cli import main
+from dressi_edge.compiler.graph.ops.packed import unorm8
+from dressi_edge.compiler.graph.program import Program
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.io.again import reader, recorded
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.decode import Masks, Photograph
+from dressi_edge.compiler.io.lens import Lens
+from dressi_edge.compiler.io.pictures import Pictures
+from dressi_edge.compiler.io.shapes import sphere
+from dressi_edge.compiler.io.views import Views, load_views
+from dressi_edge.compiler.render.optimizer import Adam
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene import targets
+from dressi_edge.compiler.scene.problem import Loss, Problem
+from dressi_edge.compiler.scene.results import measure
+
+pytest_plugins = ["gpu"]
+
+N, SIZE = 7, (40, 30)
+NAMES = ("vertices", "vertices.adam_m", "texture", "texture.adam_v", "shape.step", "paint.step")
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Seven views of 40x30 count as many, and three of them make a window."""
+    monkeypatch.setattr(targets, "SMALL", 1000)
+    monkeypatch.setattr(targets, "SLOTS", 3)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    """A folder of views of a blob that no two views show alike, soft at its rim."""
+    rng, cams = np.random.default_rng(3), orbit(N, [20.0, -15.0], 2.6, 50.0, SIZE)
+    y, x = np.mgrid[:SIZE[1], :SIZE[0]] + 0.5
+    images = []
+    for k in range(N):
+        r = np.hypot(x - 20 - np.cos(k), y - 15 + np.sin(k)) / (9 + k % 3)
+        alpha = np.clip((1.0 - r) * 8.0, 0.0, 1.0)
+        images.append(np.concatenate([rng.random((*r.shape, 3)), alpha[..., None]], -1))
+    return write_views(tmp_path_factory.mktemp("photos"), images, cams)
+
+
+def fit(views, order="shuffle", **how):
+    problem = Problem(sphere(42, 0.7), views, order=order, seed=4, albedo="texture", texture_size=(24, 16), **how)
+    problem.phase("shape", 9, {"vertices": Adam(0.02)}, [Loss("silhouette"), Loss("laplacian", 0.1)], Softness(2.0))
+    problem.phase("paint", 6, {"texture": Adam(0.05)}, [Loss("color", masked=True)], Softness(1.0, delta=0.0))
+    problem.render("render", Softness(1.0, delta=0.0))
+    return problem
+
+
+def made(gpu, problem, path):
+    problem.compile(gpu.at_hand("lavapipe"), path)
+    return path
+
+
+def solved(session, chunks=(1, 4, 2, 1, 9), paint=(6, 2)):
+    losses = []
+    for n in chunks:
+        session.step(n, "shape")
+        losses.append(session.loss())
+    for n in paint:
+        session.step(n, "paint")
+        losses.append(session.loss())
+    return losses, {name: session.get(name).tobytes() for name in NAMES}, session.get("render.color").tobytes()
+
+
+@pytest.fixture(scope="module")
+def whole(gpu, photos, tmp_path_factory):
+    """Of each order, with all views on the device as floats."""
+    found = {}
+    for order in ("shuffle", "cycle", "batch"):
+        path = made(gpu, fit(load_views(photos), order, whole=True), tmp_path_factory.mktemp("whole") / "x.dressi")
+        with runtime.load(path, gpu.device) as session:
+            assert "pictures" not in session.bundle.description["meta"]
+            found[order] = solved(session)
+    return found
+
+
+# ---- the same bits
+
+
+@pytest.mark.parametrize("order", ["shuffle", "cycle", "batch"])
+@pytest.mark.parametrize("embed", [True, False], ids=["embedded", "outside"])
+def test_a_window_gives_the_bits_of_all_views(gpu, photos, whole, tmp_path, order, embed):
+    path = made(gpu, fit(load_views(photos), order, embed=embed), tmp_path / "x.dressi")
+    with runtime.load(path, gpu.device) as session:
+        value = session.values["targets"]
+        assert (value["count"], value["type"]) == (N if order == "batch" else 3, "int") and session.shape("targets") == (N, 30, 40, 4)
+        if not embed:
+            session.pictures(reader(photos, session.bundle.description["meta"]["pictures"], False))
+        assert solved(session) == whole[order]
+    gpu.silent()
+
+
+@pytest.mark.parametrize("slots", [1, 2, 5, 7, 20])
+def test_how_many_views_a_window_has_makes_no_difference(gpu, photos, whole, tmp_path, monkeypatch, slots):
+    monkeypatch.setattr(targets, "SLOTS", slots)
+    path = made(gpu, fit(load_views(photos)), tmp_path / "x.dressi")
+    with runtime.load(path, gpu.device) as session:
+        assert session.values["targets"]["count"] == min(slots, N)
+        assert solved(session, (9, 8), (8,))[1:] == whole["shuffle"][1:]
+    gpu.silent()
+
+
+@pytest.mark.parametrize("how", ["averaged", "linear", "arrays", "float arrays"])
+def test_pictures_of_other_kinds_give_the_bits_of_all_views(gpu, photos, tmp_path, how):
+    views = load_views(photos, (20, 15) if how == "averaged" else None)
+    if how == "linear":
+        views = views.linear()
+    if "arrays" in how:
+        images = np.asarray(views.images)
+        views = Views(images * np.float32(0.999) if how == "float arrays" else images, views.cameras, views.names)
+    found = []
+    for k, more in enumerate(({"whole": True}, {}, {"embed": False})):
+        path = made(gpu, fit(views, **more), tmp_path / f"{k}.dressi")
+        with runtime.load(path, gpu.device) as session:
+            if k:
+                assert session.values["targets"]["type"] == ("vec4" if how in ("averaged", "float arrays") else "int")
+            if k == 2:
+                meta = session.bundle.description["meta"]["pictures"]
+                session.pictures(views.images.__getitem__ if "arrays" in how else reader(photos, meta, how == "linear"))
+            found.append((solved(session), session.get("targets").tobytes()))
+    assert found[1] == found[0] and found[2] == found[0]
+    gpu.silent()
+
+
+def test_every_byte_is_what_numpy_makes_of_it(gpu):
+    """k / 255 to the last bit, on the device and in the reference to fp32; and a table's."""
+    p, table = Program(), np.linspace(1.0, -3.0, 256).astype(np.float32) ** 3
+    rng = np.random.default_rng(0)
+    rows = np.stack([rng.permutation(256) for _ in range(4)], -1).astype(np.uint8).reshape(16, 16, 4)
+    packed = p.input("packed", Layout("image", "int", 16, 16), rows.view("<i4")[..., 0])
+    p.plan("out", outputs={"plain": (unorm8(packed), Layout("image", "vec4", 16, 16)),
+                           "table": (unorm8(packed, table), Layout("image", "vec4", 16, 16))})
+    found, wanted = gpu.run(p, {}), rows.astype(np.float32) / np.float32(255.0)
+    assert np.array_equal(found["plain"], wanted)
+    assert np.array_equal(found["table"], np.concatenate([table[rows[..., :3]], wanted[..., 3:]], -1))
+    with ReferenceSession(p) as session:
+        assert np.array_equal(session.get("plain").astype(np.float32), wanted)
+
+
+# ---- what a user sees
+
+
+def test_one_picture_is_set_and_got_alone(gpu, photos, whole, tmp_path):
+    views = load_views(photos)
+    new = np.random.default_rng(1).integers(0, 256, (30, 40, 4), np.uint8)
+    floats = new.astype(np.float32) / np.float32(255.0)
+    found = []
+    for k, more in enumerate(({"whole": True}, {}, {})):
+        path = made(gpu, fit(views, **more), tmp_path / f"{k}.dressi")
+        with runtime.load(path, gpu.device) as session:
+            session.step(3, "shape")
+            before, runs = session.loss(), session.report()["runs"]
+            for view in range(2, 5):  # one of them in the window, if there is one
+                session.set("targets", floats if k < 2 else new, view=view)
+            assert session.report()["runs"] == runs
+            assert np.array_equal(session.get("targets", view=3), floats)
+            assert np.array_equal(session.get("targets", view=1), views.images[1])
+            all_ = session.get("targets")
+            assert np.array_equal(all_[2:5], [floats] * 3) and np.array_equal(all_[5:], np.asarray(views.images)[5:])
+            losses, *rest = solved(session)
+            one = session.get("render.color", view=5)
+            assert np.array_equal(one, session.get("render.color")[5]) and one.shape == (30, 40, 4)
+            found.append((before, losses, rest))
+    assert found[0] == found[1] == found[2] and found[0][2][0] != whole["shuffle"][1]
+    gpu.silent()
+
+
+def test_all_pictures_are_set_at_once(gpu, photos, tmp_path):
+    path = made(gpu, fit(load_views(photos), embed=False), tmp_path / "x.dressi")
+    images = np.asarray(load_views(photos).images)
+    found = []
+    with runtime.load(path, gpu.device) as session:
+        session.set("targets", images[::-1].copy())
+        session.step(5)
+        found.append(session.get("vertices").tobytes())
+        assert np.array_equal(session.get("targets"), images[::-1])
+    with runtime.load(path, gpu.device) as session:
+        session.pictures(lambda k: images[N - 1 - k])
+        session.step(5)
+        found.append(session.get("vertices").tobytes())
+    assert found[0] == found[1]
+
+
+def test_a_counter_that_is_set_takes_the_pictures_of_its_steps(gpu, photos, tmp_path):
+    found = []
+    for k, more in enumerate(({"whole": True}, {})):
+        path = made(gpu, fit(load_views(photos), **more), tmp_path / f"{k}.dressi")
+        with runtime.load(path, gpu.device) as session:
+            session.step(2)
+            session.set("shape.step", 5)
+            losses = [session.loss()]
+            session.step(4)
+            assert session.get("shape.step") == 9
+            found.append((losses, session.get("vertices").tobytes()))
+            session.profile_stages("shape", 2)
+            session.step(1)
+            found[-1] += (session.get("vertices").tobytes(),)
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("embed", [True, False])
+def test_a_run_that_was_killed_goes_on_with_the_same_bits(gpu, photos, whole, tmp_path, embed):
+    path = made(gpu, fit(load_views(photos), embed=embed), tmp_path / "x.dressi")
+
+    def opened():
+        session = runtime.load(path, gpu.device)
+        if not embed:
+            session.pictures(reader(photos, session.bundle.description["meta"]["pictures"], False))
+        return session
+
+    with opened() as session:
+        session.step(10, "shape")
+        session.checkpoint(tmp_path / "c")
+    assert (tmp_path / "c").stat().st_size < 42 * 16 * 3 * 4 + 24 * 16 * 16 * 3 + 4000, "no picture is in it"
+    with opened() as session:
+        session.step(3, "paint")  # what it did before does not matter
+        session.restore(tmp_path / "c")
+        session.step(7)
+        session.step(8, "paint")
+        assert {name: session.get(name).tobytes() for name in NAMES} == whole["shuffle"][1]
+    gpu.silent()
+
+
+def test_what_lies_on_the_device_does_not_grow_with_views(gpu, photos, tmp_path):
+    views = load_views(photos)
+    sizes = []
+    for count in (4, 7, 14):
+        which = [k % N for k in range(count)]
+        cams = orbit(count, [20.0, -15.0], 2.6, 50.0, SIZE)
+        some = Views(np.asarray(views.images)[which], cams, tuple(map(str, range(count))))
+        with runtime.load(made(gpu, fit(some), tmp_path / f"{count}.dressi"), gpu.device) as session:
+            sizes.append(sum(x["width"] * x["height"] * x["slots"] for x in session.bundle.description["images"]))
+    assert sizes[2] - sizes[0] < 10 * 300, "tables of cameras and of the order, and no pixel"
+
+
+# ---- what is wrong
+
+
+def test_pictures_that_nobody_gave_are_asked_for(gpu, photos, tmp_path):
+    path = made(gpu, fit(load_views(photos), embed=False), tmp_path / "x.dressi")
+    with runtime.load(path, gpu.device) as session:
+        for call in (session.ready, session.step, session.loss, lambda: session.get("targets", view=2)):
+            with pytest.raises(InputError, match="targets has no value yet: the bundle was compiled without its 7 pictures of 40x30; give"):
+                call()
+        session.get("render.color")
+        for array, view, message in (
+                (np.zeros((6, 30, 40, 4)), None, r"targets has shape \(6, 30, 40, 4\); \(7, 30, 40, 4\) is needed"),
+                (np.zeros((30, 40, 3)), 2, r"targets, view 2 has shape \(30, 40, 3\)"),
+                (np.zeros((30, 40, 4)), 7, "view 7; 0 to 6 are there"),
+                (np.full((30, 40, 4), 1.5), 1, "values from 1.5 to 1.5; pictures of 8 bits have 0 to 1"),
+                (np.full((30, 40, 4), np.nan), 1, "has 4800 values that are NaN or Inf"),
+                (np.full((30, 40, 4), "x"), 1, "numbers are needed")):
+            with pytest.raises(InputError, match=message):
+                session.set("targets", array, view=view)
+        session.pictures(lambda k: np.zeros((3, 3, 4)))
+        with pytest.raises(InputError, match=r"targets, view \d has shape \(3, 3, 4\)"):
+            session.step()
+        with pytest.raises(InputError, match="vertices has no views"):
+            session.get("vertices", view=0)
+        with pytest.raises(InputError, match="vertices has no views"):
+            session.set("vertices", np.zeros((42, 3)), view=0)
+    with runtime.load(made(gpu, fit(load_views(photos), whole=True), tmp_path / "y.dressi"), gpu.device) as session:
+        with pytest.raises(InputError, match="the bundle has its pictures"):
+            session.pictures(lambda k: None)
+
+
+def broken(folder, k, how):
+    path = folder / f"00{k}.png"
+    if how == "missing":
+        path.unlink()
+    elif how == "truncated":
+        path.write_bytes(path.read_bytes()[:-40])
+    else:
+        Image.new("RGBA", SIZE, (1, 2, 3, 255)).save(path)
+
+
+@pytest.mark.parametrize(("how", "message"), [
+    ("missing", "picture .*003.png is not in .*; give the folder that the pictures are in"),
+    ("truncated", "003.png is not the one that the bundle was compiled with"), ("replaced", "003.png is not the one that the bundle")])
+def test_pictures_that_are_no_longer_there_are_one_line(gpu, photos, tmp_path, capsys, how, message):
+    folder = shutil.copytree(photos, tmp_path / "photos")
+    path = made(gpu, fit(load_views(folder), embed=False), tmp_path / "x.dressi")
+    moved = shutil.move(folder, tmp_path / "moved")
+    with runtime.load(path, gpu.device) as session:
+        meta = session.bundle.description["meta"]["pictures"]
+        assert reader(moved, meta, False)(2).shape == (30, 40, 4) and reader(moved / "transforms.json", meta, False)(2).any()
+        broken(moved, 3, how)
+        with pytest.raises(InputError, match=message):
+            reader(moved, meta, False)
+    for given, told in ((moved, message), (tmp_path / "lost", "lost is no folder")):
+        assert main(["run", str(path), "--views", str(given), "--device", gpu.device.name]) == 3
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("dressi-edge: ")
+        with pytest.raises(InputError, match=told):
+            raise InputError(lines[0])
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("value", "vertices"), ("value", 3), ("views", 0), ("views", 8), ("views", "7"), ("bits", 16), ("bits", 32), ("table", b"123"),
+    ("order", b""),
+    ("order", np.full(4, 7, "<i4").tobytes()), ("order", None), ("steps", {"shape": "lost"}), ("steps", []), ("shown", {"render.color": 3}),
+    ("names", ["a"]), ("files", "x"), ("blobs", [10 ** 6] * 7), ("blobs", [0]), ("digests", [b""])])
+def test_a_bundle_that_misleads_about_its_pictures_is_refused(gpu, photos, tmp_path, key, value):
+    path = made(gpu, fit(load_views(photos)), tmp_path / "x.dressi")
+    b = bundles.read(path)
+    d = {k: x for k, x in b.description.items() if k != "blobs"}
+    blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
+    d["meta"] = {**d["meta"], "pictures": {**d["meta"]["pictures"], key: value}}
+    bundles.write(path, d, blobs)
+    with pytest.raises(BundleError, match="meta.pictures is malformed"):
+        runtime.load(path, gpu.device)
+
+
+@pytest.mark.parametrize("damage", [lambda x: x[:-9], lambda x: b"no zlib", lambda x: zlib.compress(bytes(1000)),
+                                    lambda x: zlib.compress(bytes(30 * 40 * 4 + 1))])
+def test_an_embedded_picture_that_is_damaged_is_named(gpu, photos, tmp_path, damage):
+    path = made(gpu, fit(load_views(photos)), tmp_path / "x.dressi")
+    b = bundles.read(path)
+    d = {k: x for k, x in b.description.items() if k != "blobs"}
+    blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
+    at = d["meta"]["pictures"]["blobs"][4]
+    blobs[at] = damage(blobs[at])
+    bundles.write(path, d, blobs)
+    with runtime.load(path, gpu.device) as session:
+        with pytest.raises(BundleError, match="picture 4 of the bundle"):
+            session.step(7)
+        assert session.get("targets", view=3).any(), "the others are there"
+
+
+# ---- parts
+
+
+def test_a_window_fits_its_budget_and_every_device():
+    assert targets.slots_for(100, 40, 30, 4, None) == 3, "as said above"
+    assert targets.slots_for(100, 800, 800, 4, 15_400_000) == 1 and targets.slots_for(100, 800, 800, 4, 30_800_000) == 3
+    assert targets.slots_for(2, 40, 30, 4, None) == 2 and targets.slots_for(100, 9000, 9000, 4, None) == 1
+
+
+def test_differences_are_summed_again():
+    rng = np.random.default_rng(0)
+    for rows in (rng.integers(0, 256, (5, 7, 4), np.uint8), rng.random((5, 7, 4), np.float32)):
+        data = differences(rows)
+        assert len(data) == rows.nbytes and np.array_equal(summed(data, rows.shape, rows.dtype), rows)
+
+
+def test_pictures_are_read_again_as_they_were(tmp_path):
+    """Masks in files of their own, a backdrop, different sizes, a lens that bends; files told apart by as much of their path as is needed;
+    from the folder above them."""
+    rng = np.random.default_rng(0)
+    for cam, size in (("a", (40, 30)), ("b", (24, 30))):
+        for kind, mode in (("rgb", "RGB"), ("masks", "L")):
+            (tmp_path / cam / kind).mkdir(parents=True)
+            shape = (size[1], size[0], 3)[:3 if mode == "RGB" else 2]
+            Image.fromarray(rng.integers(0, 256, shape, np.uint8)).save(tmp_path / cam / kind / "1.png")
+    masks = Masks(backdrop=(0.2, 0.4, 0.1), within=0.9)
+    lens = Lens(30.0, 31.0, 20.0, 15.0, k=(0.1, -0.02), p=(1e-3, 0.0))
+    readings = [Photograph(tmp_path / cam / "rgb" / "1.png", size, masks, tmp_path / cam / "masks" / "1.png", True, lens)
+                for cam, size in (("a", (40, 30)), ("b", (24, 30)))]
+    for sizes in (None, [(20, 15), (12, 15)]):
+        pictures = Pictures(readings, sizes)
+        meta = msgpack.unpackb(msgpack.packb({"bits": pictures.bits, **recorded(pictures)}))
+        assert meta["files"][1] == "b/rgb/1.png\nb/masks/1.png"
+        again = reader(tmp_path, meta, False)
+        assert all(np.array_equal(again(k), pictures.rows(k)) for k in (0, 1))
+        assert np.array_equal(reader(tmp_path / "a", meta, False)(1), pictures.rows(1)), "beside the folder"
+    meta["readings"][0].pop("lens")
+    with pytest.raises(BundleError, match="meta.pictures is malformed"):
+        reader(tmp_path, meta, False)
+    for name in ("../a/rgb/1.png", "/etc/passwd"):
+        with pytest.raises(InputError, match="is not in"):
+            reader(tmp_path, meta | {"files": [name, name]}, False)
+
+
+def test_metrics_take_one_picture_at_a_time():
+    rng = np.random.default_rng(0)
+    a, b = rng.random((4, 5, 6, 4)), rng.random((4, 5, 6, 4))
+    assert measure(iter(a), iter(b)) == measure(a, b)
+
+
+def test_the_feed_wants_what_is_not_there():
+    values = {"t": {"name": "t", "role": "input", "layout": "atlas", "type": "int", "width": 2, "height": 3, "count": 4, "columns": 2},
+              "s": {}}
+    meta = {"value": "t", "views": 9, "bits": 8, "table": None, "order": np.array([5, 1, 8, 0, 2, 3], "<i4").tobytes(),
+            "steps": {"p": "s"}, "shown": {}, "names": list("abcdefghi"), "files": [], "blobs": []}
+    feed = Feed(meta, values, lambda k: b"", 0)
+    assert feed.wanted("p", 0, 4) == {0: 5, 1: 1, 2: 8, 3: 0} and feed.wanted("p", 5, 2) == {1: 3, 2: 5}
+    feed.held |= {0: 2, 1: 1}
+    assert feed.wanted("p", 4, 3) == {1: 3, 2: 5} and feed.cell(3) == (2, 3) and feed.shape == (9, 3, 2, 4)
+
+
+# ---- the command line
+
+
+def test_a_job_of_many_views_from_compiling_to_metrics(photos, tmp_path, capsys, gpu, monkeypatch):
+    monkeypatch.setenv("DRESSI_DEVICE", gpu.device.name)
+    job = tmp_path / "x.toml"
+    job.write_text(f"""
+[mesh]
+sphere = {{vertices = 42, radius = 0.7}}
+[views]
+transforms = "{photos}"
+order = "shuffle"
+[render]
+texture_size = [24, 16]
+[[phase]]
+name = "shape"
+steps = 4
+optimize.vertices = {{rate = 0.02}}
+[[phase.loss]]
+kind = "silhouette"
+[[phase]]
+name = "paint"
+steps = 4
+optimize.texture = {{rate = 0.02}}
+[[phase.loss]]
+kind = "color"
+""")
+    outside, inside = tmp_path / "outside.dressi", tmp_path / "inside.dressi"
+    assert main(["compile", str(job), "-p", "lavapipe", "-o", str(outside)]) == 0
+    assert "its 7 pictures are not in it: run it with --views DIR, or compile it with --embed" in capsys.readouterr().out
+    assert main(["compile", str(job), "-p", "lavapipe", "-o", str(inside), "--embed", "--memory", "2MB"]) == 0
+    assert "--views" not in capsys.readouterr().out
+    assert main(["run", str(outside), "-o", str(tmp_path / "o.glb")]) == 3
+    assert "compiled without its 7 pictures" in capsys.readouterr().err
+    assert main(["run", str(outside), "-o", str(tmp_path / "o.glb"), "--views", str(photos)]) == 0
+    assert main(["run", str(inside), "-o", str(tmp_path / "i.glb")]) == 0
+    metrics = [__import__("json").loads((tmp_path / f"{name}_metrics.json").read_text()) for name in "oi"]
+    assert metrics[0]["views"] == metrics[1]["views"] and metrics[0]["losses"] == metrics[1]["losses"]
+    assert (tmp_path / "o.glb").read_bytes() == (tmp_path / "i.glb").read_bytes()
+    monkeypatch.setattr(targets, "SMALL", 1 << 20)
+    few, reference = tmp_path / "few.dressi", tmp_path / "r.glb"
+    assert main(["compile", str(job), "-p", "lavapipe", "-o", str(few)]) == 0
+    assert main(["run", str(few), "-o", str(tmp_path / "f.glb")]) == 0
+    assert (tmp_path / "f.glb").read_bytes() == (tmp_path / "i.glb").read_bytes(), "few views are in the bundle as ever"
+    assert main(["run", str(few), "-o", str(tmp_path / "f.glb"), "--views", str(photos)]) == 3
+    assert "names no picture files" in capsys.readouterr().err
+    monkeypatch.setattr(targets, "SMALL", 1000)
+    assert main(["run", str(job), "--device", "reference", "--steps", "1", "-o", str(reference)]) == 0
+    capsys.readouterr()
+    assert main(["compile", str(job), "-p", "lavapipe", "-o", str(inside), "--memory", "100kB"]) == 3
+    assert "MB for profile lavapipe; memory allows 0.1 MB; use smaller views" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["compile", str(job), "-p", "lavapipe", "-o", str(inside), "--memory", "much"])
