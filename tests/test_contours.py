@@ -4,7 +4,7 @@ import pytest
 
 from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
-from dressi_edge.compiler.graph.functions import constant_table
+from dressi_edge.compiler.graph.functions import compose, constant_table
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.scene import HardSoftRas, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
 
@@ -12,10 +12,11 @@ pytest_plugins = ["gpu"]
 SAMPLES = 16  # a pixel's side
 
 
-def supersampled(parts, camera):
-    """Mean colour of each pixel: parts are (positions, faces, colour), drawn sharply at SAMPLES^2 times the pixels, in float64."""
+def supersampled(parts, camera, background=0.0):
+    """Mean colour of each pixel: parts are (positions, faces, colour), drawn sharply at SAMPLES^2 times the pixels, in float64. A colour
+    of None is the depth."""
     n, k = camera.width, SAMPLES
-    depth, color = np.full((n * k, n * k), np.inf), np.zeros((n * k, n * k, 3))
+    depth, color = np.full((n * k, n * k), np.inf), np.full((n * k, n * k, 3), background)
     for positions, faces, paint in parts:
         h = (camera.world_to_camera @ np.column_stack([positions, np.ones(len(positions))]).T).T
         x, y, near = (camera.cx - camera.fx * h[:, 0] / h[:, 2]) * k, (camera.cy + camera.fy * h[:, 1] / h[:, 2]) * k, -1 / h[:, 2]
@@ -31,7 +32,7 @@ def supersampled(parts, camera):
             b1 = ((x2 - px) * (y0 - py) - (x0 - px) * (y2 - py)) / area
             away = 1 / (b0 * w[0] + b1 * w[1] + (1 - b0 - b1) * w[2])
             nearer = (np.minimum(b0, b1) >= 0) & (b0 + b1 <= 1) & (away < depth[at])
-            depth[at][nearer], color[at][nearer] = away[nearer], paint
+            depth[at][nearer], color[at][nearer] = away[nearer], away[nearer, None] if paint is None else paint
     return color.reshape(n, k, n, k, 3).mean((1, 3))
 
 
@@ -43,7 +44,7 @@ def balls(size, renderer, shift=(0.05, 0.02, 1.3), radius=0.3):
     s.add(red, rigid(red.positions + shift, np.zeros(3), place), Unlit((1.0, 0.0, 0.0)))
     s.add(white, material=Unlit(1.0))
     f = s.frame(renderer)
-    s.vjp("v", ["place"], color=f.color, alpha=f.alpha)
+    s.vjp("v", ["place"], color=f.color, alpha=f.alpha, depth=f.soft(lambda x: compose(x.depth, x.depth, x.depth), 5.0))
     return s, [(red.positions + shift, red.faces, (1, 0, 0)), (white.positions, white.faces, (1, 1, 1))]
 
 
@@ -77,6 +78,24 @@ def test_a_ball_before_another_moves_as_its_picture_does(gpu, case, size, before
         errors.append(np.linalg.norm(found - exact) / np.linalg.norm(exact))
         gpu.silent()
     assert errors[0] > before and errors[1] < after, errors
+
+
+def test_soft_depth_has_the_gradient_of_contours(gpu):
+    """Against the depth of the pixels' samples, moved across and towards the eye."""
+    size, errors, h = 64, [], 0.02
+    for renderer in (Outline(), Outline(contours=True)):
+        scene, parts = balls(size, renderer)
+        with runtime.load(gpu.compile(scene.program), gpu.device) as s:
+            found = np.array([s.backward("v", depth=field[None])["place"] for field in fields(size)])
+        exact = []
+        for axis in np.eye(3):
+            moved = [supersampled([(parts[0][0] + s * h * axis, parts[0][1], None), (*parts[1][:2], None)], scene.cameras[0], 5.0)
+                     for s in (1, -1)]
+            exact.append((moved[0] - moved[1]) / (2 * h))
+        exact = np.array([[(slope * field).sum() for slope in exact] for field in fields(size)])
+        errors.append(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+    gpu.silent()
+    assert errors[0] > 0.3 and errors[1] < 0.06, errors
 
 
 def test_the_picture_is_nearer_to_the_supersampled_one(gpu):

@@ -107,32 +107,42 @@ class Frame:
     @cached_property
     def color(self) -> Node:
         """vec3: the parts as their materials say, over the background."""
-        if self.fragments.at_corners:
-            return self.composed([self._corners_colored(k) for k in range(3)])
-        return self.composed([self._colored(k) for k in range(len(self.fragments.layers))])
+        def shade(s: Surface, part: int) -> Node:
+            color = shaded(s.part.material, s, self._who(part))
+            return self.encode(color) if self.encode else color
+
+        return self._composed(shade, True, self.background)
+
+    def soft(self, read: Callable[[Surface], Node], background: Node | float = 0.0) -> Node:
+        """What `read` gives of shapes, such as `lambda s: s.depth`, composed over the background as colours are: soft at outlines, and at
+        contours where the renderer has them. The pictures below change from one surface to the next without a gradient; this has it."""
+        return self._composed(lambda s, part: read(s), False, background)
 
     def composed(self, layers: list[Node], background: Node | float | None = None) -> Node:
         """Values of each layer as the renderer composes them, over the background."""
         return self.fragments.color(layers, self.background if background is None else background)
 
-    def _colored(self, layer: int) -> Node:
-        """The colour of a layer; each part's, or that of parts that are made alike, is worked out in the tiles that show it."""
-        total, together = None, self._together(layer, True)
+    def _composed(self, read: Callable[[Surface, int], Node], materials: bool, background: Node | float) -> Node:
+        if self.fragments.at_corners:
+            return self.composed([self._at_corner(read, k) for k in range(3)], background)
+        return self.composed([self._in_layer(read, k, materials) for k in range(len(self.fragments.layers))], background)
+
+    def _in_layer(self, read: Callable[[Surface, int], Node], layer: int, materials: bool) -> Node:
+        """Of a layer; each part's, or that of parts that are made alike, is worked out in the tiles that show it."""
+        total, together = None, self._together(layer, materials)
         for k, s in together:
-            color = shaded(s.part.material, s, self._who(k))
-            color = near_faces(s.face_over_views, self.encode(color) if self.encode else color, apart=len(together) > 1)
-            total = color if total is None else select(s.inside, color, total)
+            value = near_faces(s.face_over_views, read(s, k), apart=len(together) > 1)
+            total = value if total is None else select(s.inside, value, total)
         return total if len(together) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
 
-    def _corners_colored(self, number: int) -> Node:
-        """The colours of a corner of each face, a table of views x faces."""
+    def _at_corner(self, read: Callable[[Surface, int], Node], number: int) -> Node:
+        """Of a corner of each face, a table of views x faces."""
         total, extent = None, table(self.atlas.views * len(self.parts.topology.faces))
         for k, part in enumerate(self.parts.parts):
             s = CornerSurface(self, number, part)
-            color = shaded(part.material, s, self._who(k))
-            color = self.encode(color) if self.encode else color
-            color = apply("broadcast", color, extent=s.inside.extent) if color.extent == UNIT else color
-            total = color if total is None else join(total, color, self.atlas.views)
+            value = read(s, k)
+            value = apply("broadcast", value, extent=s.inside.extent) if value.extent == UNIT else value
+            total = value if total is None else join(total, value, self.atlas.views)
         assert total.extent == extent
         return total
 
