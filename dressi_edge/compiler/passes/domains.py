@@ -45,7 +45,7 @@ def _cone(node: Node, inside: set[Node], order: tuple[Node, ...]) -> tuple[Node,
 
 def find_guard(stage: Substage, least: int = MIN_COST) -> Guard | None:
     """The guard that leaves most work out, by tiles if it can be, or None; one that leaves out less than `least` is none."""
-    if stage.raster:
+    if stage.raster or stage.kernel:
         return None
     inside = set(stage.nodes)
     total = sum(n.op.cost for n in stage.nodes)
@@ -80,6 +80,8 @@ def find_domains(plan: PlanGraph, stages: Sequence[Stage], guards: bool = True) 
     def domain(s: Substage) -> Domain:
         if s.raster:
             return Domain(outside=(s.nodes[0].op.clear,))
+        if s.kernel:
+            return Domain(outside=(None,))
         if s.extent in totals and plan.kind != LEAVE:
             return Domain(LISTED, totals[s.extent], outside=tuple(map(use.after_the_last, s.outputs)))
         guard = find_guard(s, 0) if plan.kind == LEAVE else find_guard(s) if guards else None
