@@ -11,6 +11,7 @@ from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
 from ..cache.errors import GraphError, InputError, PackError, ProfileError
 from ..cache.profile import Profile
+from ..cache.progress import tell
 from ..cache.spirv_interface import parse
 from ..cache.summary import image_bytes
 from ..cache.verify import violations
@@ -82,6 +83,7 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     PackError, ProfileError, InputError, ShaderError."""
     def checked(name: str, value):
         see(name, value)
+        tell(f"compiling for {profile.name}: {name}")
         check(value, profile, options.naive)
         return value
 
@@ -102,7 +104,8 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     see("shaders", glsl := shaders(code))
     description, blobs = describe(program, packed, code, places, spirv.compile_all(glsl))
     texels = {name: how for group in groups for name, how in group.told.items()}
-    description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed}}
+    description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed},
+                           "holds": {plan.graph.name: dump.holds(plan) for plan in packed}}
     if texels:
         description["meta"]["texels"] = texels
     if options.memory is not None and (size := sum(image_bytes(x) * x["slots"] for x in description["images"])) > options.memory:

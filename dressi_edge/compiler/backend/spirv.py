@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 from ...cache.errors import DressiError
+from ...cache.progress import tell
 from . import spirv_cache
 
 _compiled: dict[tuple[str, str], bytes] = {}
@@ -78,7 +79,9 @@ def compile_all(jobs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], bytes]
         _compiled.update({job: code for job, name in names.items() if (code := spirv_cache.load(folder, name))})
         missing = [job for job in missing if job not in _compiled]
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        _compiled.update(zip(missing, pool.map(_compile, missing)))
+        for k, (job, code) in enumerate(zip(missing, pool.map(_compile, missing))):
+            tell("compiling shaders", k, len(missing))
+            _compiled[job] = code
     if folder and missing:
         spirv_cache.store(folder, {names[job]: _compiled[job] for job in missing})
     return {job: _compiled[job] for job in jobs}
