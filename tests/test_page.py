@@ -203,6 +203,17 @@ def test_a_bundle_of_an_earlier_compiler_has_stages_all_the_same(gpu):
     assert plan["functions"] is None and plan["stages"][0]["substages"][0]["holds"] == []
 
 
+def test_dispatches_of_compute_are_stages_too(ran, tmp_path):
+    made = command("compile", ran / "job.toml", "-p", "lavapipe", "-o", tmp_path / "c.dressi", "--compute", "all")
+    assert made.returncode == 0, made.stderr
+    found = bundles.read(tmp_path / "c.dressi")
+    facts = {p["name"]: p for p in bundle_facts(found)["plans"]}
+    for plan in found.description["plans"]:
+        for stage, told in zip(plan["stages"], facts[plan["name"]]["stages"]):
+            assert ("groups" in told) == ("compute" in stage) and sum(n for _, n in told["substages"][0]["holds"]) > 0
+    assert any("groups" in stage for stage in facts["shape"]["stages"])
+
+
 # ---- in a browser
 
 def box(browser, selector):

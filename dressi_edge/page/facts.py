@@ -15,7 +15,7 @@ from ..cache import vulkan as v
 from ..cache.copies import kinds
 from ..cache.errors import DressiError
 from ..cache.profile import Profile
-from ..cache.summary import image_bytes, stage_bytes, summary
+from ..cache.summary import image_bytes, size, stage_bytes, substages, summary
 
 LOADS = {v.LOAD_LOAD: "kept", v.LOAD_CLEAR: "cleared", v.LOAD_DONT_CARE: "overwritten"}
 HOW = {v.DESCRIPTOR_INPUT_ATTACHMENT: "on the tile", v.DESCRIPTOR_COMBINED_IMAGE_SAMPLER: "filtered"}
@@ -38,10 +38,11 @@ def plans(d: Mapping, stage_ms: Mapping[str, Sequence[float]] | None = None) -> 
         stages, written = [], {}
         ms = (stage_ms or {}).get(plan["name"])
         for number, stage in enumerate(plan["stages"]):
-            count = len(stage["subpasses"])
+            count = substages(stage)
             own, texts = texts[:count], texts[count:]
-            stages.append(_stage(d, stage, number, written, writers, values, own) | {"ms": ms[number] if ms else None})
-            written.update(dict.fromkeys((ref for ref in stage["attachments"]), number))
+            make = _dispatch if "compute" in stage else _stage
+            stages.append(make(d, stage, written, writers, values, own) | {"ms": ms[number] if ms else None})
+            written.update(dict.fromkeys(stage["outputs"] if "compute" in stage else stage["attachments"], number))
         found.append({"name": plan["name"], "kind": kind, "meaning": MEANINGS[kind], "steps": plan["steps"],
                       "needs": [d["plans"][n]["name"] for n in plan["needs"]],
                       "updates": [d["values"][n]["name"] for n in plan["updates"]],
@@ -52,17 +53,31 @@ def plans(d: Mapping, stage_ms: Mapping[str, Sequence[float]] | None = None) -> 
     return found
 
 
-def _stage(d: Mapping, stage: Mapping, number: int, written: Mapping[int, int], kept: Mapping[int, str], values: Mapping[int, str],
+def _dispatch(d: Mapping, stage: Mapping, written: Mapping[int, int], kept: Mapping[int, str], values: Mapping[int, str],
+              texts: Sequence[str]) -> dict:
+    """One dispatch of compute, as `_stage` has render passes: what it writes stands for attachments."""
+    made = d["computes"][stage["compute"]]
+    reads = {ref: _read(d, ref, [kind], written, kept, values, {}) for ref, (kind, _) in zip(stage["images"], made["bindings"])}
+    outputs = [{"image": ref // 2, "format": _format(o["format"]), "load": LOADS[o["load"]], "stored": True, "value": values.get(ref // 2)}
+               for ref, o in zip(stage["outputs"], made["outputs"])]
+    width, height = size(d, stage)
+    return {"width": width, "height": height, "waits": bool(stage["wait"]), "bytes": stage_bytes(d, stage), "attachments": outputs,
+            "groups": list(stage["groups"]), "substages": [
+                {"holds": _ops(texts[0]) if texts else [], "draws": 0, "vertices": 0, "indirect": stage["count"] >= 0, "depth": False,
+                 "reads": list(reads.values()), "writes": [ref // 2 for ref in stage["outputs"]]}]}
+
+
+def _stage(d: Mapping, stage: Mapping, written: Mapping[int, int], kept: Mapping[int, str], values: Mapping[int, str],
            texts: Sequence[str]) -> dict:
     """One render pass. written: ref -> the stage of this plan that wrote it last; kept: image -> the plan that wrote it before."""
     passed = d["passes"][stage["pass"]]
-    substages, inside = [], {}
+    made, inside = [], {}
     for k, (draws, subpass) in enumerate(zip(stage["subpasses"], passed["subpasses"])):
         reads: dict[int, dict] = {}
         for draw in draws:
             for ref, binding in zip(draw["images"], d["pipelines"][draw["pipeline"]]["bindings"]):
                 reads.setdefault(ref, _read(d, ref, binding, written, kept, values, inside))
-        substages.append({"holds": _ops(texts[k]) if k < len(texts) else [], "draws": sum(len(draw["cells"]) for draw in draws),
+        made.append({"holds": _ops(texts[k]) if k < len(texts) else [], "draws": sum(len(draw["cells"]) for draw in draws),
                           "vertices": sum(draw["vertices"] * len(draw["cells"]) for draw in draws),
                           "indirect": any(draw["count"] >= 0 for draw in draws), "depth": subpass["depth"] >= 0,
                           "reads": list(reads.values()), "writes": [stage["attachments"][a] // 2 for a in subpass["colors"]]})
@@ -70,7 +85,7 @@ def _stage(d: Mapping, stage: Mapping, number: int, written: Mapping[int, int], 
     attachments = [{"image": ref // 2, "format": _format(a["format"]), "load": LOADS[a["load"]], "stored": a["store"] == v.STORE_STORE,
                     "value": values.get(ref // 2)} for ref, a in zip(stage["attachments"], passed["attachments"])]
     return {"width": stage["width"], "height": stage["height"], "waits": bool(stage["wait"]), "bytes": stage_bytes(d, stage),
-            "attachments": attachments, "substages": substages}
+            "attachments": attachments, "substages": made}
 
 
 def _read(d: Mapping, ref: int, binding: Sequence[int], written: Mapping[int, int], kept: Mapping[int, str], values: Mapping[int, str],
@@ -147,5 +162,5 @@ def bundle_facts(bundle, device=None, stage_ms: Mapping[str, Sequence[float]] | 
     """All of one variant. device: where it runs, if it does."""
     d = bundle.description
     return {"profile": d["profile"]["name"], "digest": bundle.digest, "plans": plans(d, stage_ms), "images": images(d),
-            "limits": limits(d, device), "shaders": len(d["shaders"]), "pipelines": len(d["pipelines"]),
+            "limits": limits(d, device), "shaders": len(d["shaders"]), "pipelines": len(d["pipelines"]) + len(d.get("computes", ())),
             "formats": {name: list(features) for name, features in d["needs"]["formats"].items()}}

@@ -238,8 +238,8 @@ function reads(sub) {
     rs.length > 1 ? ` × ${rs.length}` : "", rs.some(r => r.how !== "sampled") ? h("span.soft", {}, ` ${rs.find(r => r.how !== "sampled").how}`) : "")));
 }
 
-function holds(sub) {
-  const draws = `${many(sub.draws, "draw")}, ${sub.indirect ? "as many vertices as the device counts" : many(sub.vertices, "vertex").replace("vertexs", "vertices")}${sub.depth ? ", depth test" : ""}`;
+function holds(sub, stage) {
+  const draws = stage.groups ? `compute, ${stage.groups.join(" × ")} workgroups${sub.indirect ? " at most, as many as the device counts" : ""}` : `${many(sub.draws, "draw")}, ${sub.indirect ? "as many vertices as the device counts" : many(sub.vertices, "vertex").replace("vertexs", "vertices")}${sub.depth ? ", depth test" : ""}`;
   if (!sub.holds.length) return h("span.soft", {}, draws);
   const total = sub.holds.reduce((t, [, n]) => t + n, 0), first = sub.holds.slice(0, 7), left = sub.holds.length - first.length;
   return [h("code", {title: sub.holds.map(([name, n]) => n > 1 ? `${name} × ${n}` : name).join("\n")},
@@ -254,7 +254,7 @@ function flow(plan) {
   rows.append(arcs, h("div.row.head", {}, h("span", {}, "#"), h("span", {}, "size"), h("span", {}, "what is fused"), h("span", {}, "reads from"), h("span", {}, "attachments"), h("span", {}, "moved, ms")));
   const lines = plan.stages.map((stage, k) => {
     const row = h("div.row", {"data-stage": k}, h("b", {}, String(k)), h("span", {}, `${stage.width} × ${stage.height}`),
-      h("div", {}, stage.substages.map(sub => h("div.sub", {}, holds(sub)))), h("div", {}, stage.substages.map(sub => h("div.sub", {}, reads(sub)))),
+      h("div", {}, stage.substages.map(sub => h("div.sub", {}, holds(sub, stage)))), h("div", {}, stage.substages.map(sub => h("div.sub", {}, reads(sub)))),
       h("ul", {}, stage.attachments.map(a => h("li", {title: `image ${a.image}, ${a.load}${a.stored ? "" : ", not stored"}`}, h("code", {}, short(a.format)),
         a.value ? ` ${a.value}` : "", h("span.soft", {}, ` ${a.load === "overwritten" ? "" : a.load}${a.stored ? "" : " not stored"}`)))),
       h("div", {}, bytes(stage.bytes), stage.ms !== null ? [h("div", {}, `${number(stage.ms, 3)} ms`), h("div.meter", {}, h("i", {style: `width:${most ? 100 * stage.ms / most : 0}%`}))] : null));
