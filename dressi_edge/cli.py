@@ -102,6 +102,11 @@ def parser() -> argparse.ArgumentParser:
     def pinned(sub):
         sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
 
+    sub = command("new", "write a starting job for a folder of pictures, after looking at what is in it")
+    sub.add_argument("folder", help="pictures, with their cameras: transforms.json, or a glTF file")
+    sub.add_argument("-o", "--output", metavar="JOB.toml", default="job.toml", help="the job to write (default job.toml)")
+    sub.add_argument("--force", action="store_true", help="replace files that exist")
+
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
     sub.add_argument("job", help="the job, a TOML file")
     sub.add_argument("-p", "--profile", required=True, action="append",
