@@ -1,6 +1,6 @@
 """`dressi-edge`: arguments in, a command of dressi_edge/commands, an exit code out.
 
-0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted. An error is one line on stderr, and so is a
+0 done, 1 a defect of ours, 2 usage, 3 bad input, 4 device, 130 interrupted (143 by SIGTERM). An error is one line on stderr, and so is a
 note of an input that looks wrong. A command's module is imported when it runs, so that a device needs no more than the runtime.
 """
 from __future__ import annotations
@@ -59,6 +59,22 @@ def _bytes(text: str) -> int:
     return int(number) * unit
 
 
+def _positive(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0.0 < number < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0")
+    return number
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port; 0 to 65535, 0 for a free one")
+    return int(text)
+
+
 def parser() -> argparse.ArgumentParser:
     """All commands and their arguments."""
     top = _Parser(prog="dressi-edge", description="A differentiable renderer on plain Vulkan: images in, mesh and texture out.",
@@ -86,6 +102,11 @@ def parser() -> argparse.ArgumentParser:
     def pinned(sub):
         sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
 
+    sub = command("new", "write a starting job for a folder of pictures, after looking at what is in it")
+    sub.add_argument("folder", help="pictures, with their cameras: transforms.json, or a glTF file")
+    sub.add_argument("-o", "--output", metavar="JOB.toml", default="job.toml", help="the job to write (default job.toml)")
+    sub.add_argument("--force", action="store_true", help="replace files that exist")
+
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")
     sub.add_argument("job", help="the job, a TOML file")
     sub.add_argument("-p", "--profile", required=True, action="append",
@@ -106,9 +127,17 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("bundle", help="the bundle; or, with --device reference, a job")
     sub.add_argument("--steps", type=_steps, metavar="N", help="iterations of each phase, instead of the job's")
     sub.add_argument("--phase", metavar="P", help="run this phase alone")
-    sub.add_argument("-o", "--output", metavar="OUT", help="OUT.glb, .gltf, .obj or .ply: the mesh, with OUT_sheet.png, "
-                     "OUT_loss.png and OUT_metrics.json beside it (needs the compiler's packages); "
-                     "OUT.npz: the states as arrays")
+    sub.add_argument("-o", "--output", metavar="OUT", action="append", help="OUT.glb, .gltf, .obj or .ply: the mesh, with "
+                     "OUT_sheet.png, OUT_loss.png and OUT_metrics.json beside it (needs the compiler's packages); OUT.npz: the states as "
+                     "arrays; VALUE=OUT.png, .exr or .npy: one value of the bundle, such as render.color; several times")
+    sub.add_argument("--checkpoint", metavar="FILE", help="go on from FILE where it exists, and keep it up to date")
+    sub.add_argument("--every", type=_positive, default=5.0, metavar="MINUTES", help="how often checkpoint and outputs are written on the "
+                     "way (default 5); at the end, at Ctrl-C and at SIGTERM they are in any case")
+    sub.add_argument("--report", metavar="DIR", help="DIR/index.html: one page with the result in 3D, pictures, curves, times, stages")
+    sub.add_argument("--serve", metavar="PORT", nargs="?", const=0, type=_port, help="show it live in a browser, on this "
+                     "machine alone, at the address that is printed (default: a free port)")
+    sub.add_argument("--preview", metavar="FILE.png", help="a contact sheet of how it is now, on the way")
+    sub.add_argument("--preview-every", type=_positive, default=10.0, metavar="SECONDS", help="how often (default 10)")
     sub.add_argument("--views", metavar="DIR", help="the folder of the pictures, where the bundle was compiled without them")
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     emulation(sub)
@@ -116,7 +145,24 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--scene", action="store_true", help="write lights and cameras into the glTF file, too")
     sub.add_argument("--explain", action="store_true", help="print which variant was taken and why, what ran how often, and what "
                      "the session occupies")
-    json_switch(sub)
+    form = sub.add_mutually_exclusive_group()
+    json_switch(form)
+    form.add_argument("--json-lines", action="store_true", help="tell how it goes as one JSON object a line on stdout, and nothing on "
+                      "stderr but errors")
+
+    sub = command("report", "write a page of a bundle: what it draws, its stages with their times, limits", target="report:report")
+    sub.add_argument("bundle")
+    sub.add_argument("-o", "--output", metavar="X.html", help="the page; default beside the bundle")
+    sub.add_argument("--checkpoint", metavar="FILE", help="as it is in this checkpoint of `run`, with its curves")
+    sub.add_argument("--no-times", action="store_true", help="do not time the stages")
+    sub.add_argument("--views", metavar="DIR", help="the folder of the pictures, where the bundle was compiled without them")
+    device(sub)
+    emulation(sub)
+    pinned(sub)
+
+    sub = command("view", "show a mesh file in a browser", target="report:view")
+    sub.add_argument("mesh", help="a .glb, .gltf, .obj, .ply, .stl or .off file")
+    sub.add_argument("-o", "--output", metavar="X.html", help="write the page there and open no browser")
 
     sub = command("inspect", "show what a bundle is made of", target="bundle:inspect")
     sub.add_argument("bundle")

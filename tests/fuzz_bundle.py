@@ -24,7 +24,8 @@ from dressi_edge.cache.summary import dot, text
 from dressi_edge.cache.verify import violations
 from dressi_edge.runtime import checkpoint
 
-NAMES = ("ops", "reduction", "states", "silhouette", "texture", "variants", "copies", "lists", "subpasses", "half", "dispatched", "counted")
+NAMES = ("ops", "reduction", "states", "silhouette", "texture", "variants", "copies", "lists", "subpasses", "half", "dispatched", "counted",
+         "shared")
 NUMBERS = (-1, 0, 1, 2, 3, 4, 5, 7, 8, 10, 16, 17, 23, 31, 99, 100, 109, 126, 255, 65535, 65536, 1 << 20, 1 << 31, 1 << 40, 1 << 63,
            (1 << 64) - 1)
 ODD = (None, True, False, 0.5, float("nan"), float("inf"), "", "a", "input", b"", b"x" * 32, [], {}, [[]], [0], [0, 0, 0, 0], {"a": 1})

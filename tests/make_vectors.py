@@ -18,7 +18,17 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.autodiff import gradients
-from dressi_edge.compiler.graph.functions import apply, constant_table, dot, lookup, mean, to_float, total
+from dressi_edge.compiler.graph.functions import (
+    apply,
+    bincount,
+    constant_table,
+    dot,
+    exclusive_scan,
+    lookup,
+    mean,
+    to_float,
+    total,
+)
 from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.optimizer import Sgd
 from dressi_edge.compiler.render.raster import Softness, rasterized
@@ -178,6 +188,18 @@ def counted():
     return p, [("set", "x", np.arange(37 * 30, dtype=np.float32).reshape(30, 37)), ("get", "y"), ("get", "groups")]
 
 
+def shared():
+    """Bins that are cleared and added to, sums of chunks and running sums: workgroups that share memory."""
+    p, n, bins = Program(), 1500, 40
+    index, table = p.input("index", Layout("table", "int", count=n)), Layout("table", "int", count=bins)
+    counts = bincount(index, bins)
+    p.plan("count", {}, {"counts": (counts, table), "begins": (exclusive_scan(counts), table),
+                         "running": (exclusive_scan(index), Layout("table", "int", count=n))})
+    seen = [("get", name) for name in ("counts", "begins", "running")]
+    rng = np.random.default_rng(6)
+    return p, [step for _ in range(2) for step in (("set", "index", rng.integers(-2, bins + 2, n).astype(np.int32)), *seen)]
+
+
 def _count(d: dict) -> None:
     """The dispatch over the image goes as far as the one before it says."""
     first, second = d["plans"][0]["stages"]
@@ -187,12 +209,13 @@ def _count(d: dict) -> None:
 
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
 TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "lists": 1e-4,
-             "texture": 8e-3, "copies": 1e-4, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3, "dispatched": 8e-3, "counted": 1e-5}
+             "texture": 8e-3, "copies": 1e-4, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3, "dispatched": 8e-3, "counted": 1e-5,
+             "shared": 0}
 VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, copies, variants, subpasses, half, dispatched,
-                                   counted)}
+                                   counted, shared)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 OPTIONS = {"copies": {"sparse_texels": 1}, "half": {"storage": "half"},  # 1: its texture is too small to be listed otherwise
-           "dispatched": {"compute": "all"}, "counted": {"compute": "pixel"}}
+           "dispatched": {"compute": "all"}, "counted": {"compute": "pixel"}, "shared": {"compute": "ops"}}
 CHANGES = {"counted": _count}  # of descriptions, to what the compiler does not write
 
 

@@ -8,6 +8,7 @@ import make_vectors
 import numpy as np
 import pytest
 import test_profile_matrix as matrix
+from test_binned import painted
 
 from dressi_edge import runtime
 from dressi_edge.cache import bundle
@@ -20,6 +21,7 @@ from dressi_edge.compiler import Options, Program, build, compile_program
 from dressi_edge.compiler.graph.functions import apply
 from dressi_edge.compiler.graph.ir import image
 from dressi_edge.compiler.passes.compute import groups, hindrance, local_size
+from dressi_edge.compiler.scene import Binned
 from dressi_edge.runtime.emulate import EmulatedDevice
 from dressi_edge.runtime.session import Session
 
@@ -73,6 +75,23 @@ def test_a_fit_comes_to_the_same_bits(gpu, tmp_path, scene, layers):
     stages = [stage for plan in d["plans"] for stage in plan["stages"]]
     assert sum("compute" in stage for stage in stages) > len(stages) / 2
     gpu.silent()
+
+
+def test_every_face_near_a_pixel_is_found_with_kernels_too(gpu):
+    """The lists by tile are made of running sums; pictures, gradients and lists have the same bits however these come about."""
+    found = []
+    for kind in ("none", "ops", "all"):
+        s, f = painted(Binned(3.0, gamma=1e-3), (97, 75))
+        s.vjp("look", ["vertices", "colors"], color=f.color, alpha=f.alpha)
+        s.output("lists", spilled=f.fragments.lists.spilled)
+        with runtime.load(gpu.compile(s.program, compute=kind), gpu.device) as d:
+            seen = d.forward("look")
+            found.append(bits([*seen.values(), *d.backward("look", color=np.sin(1e3 * seen["color"]), alpha=seen["alpha"]).values(),
+                               d.get("lists.spilled")]))
+            stages = [stage for plan in d.bundle.description["plans"] for stage in plan["stages"]]
+        assert (kind == "none") == (not any("compute" in stage for stage in stages))
+        gpu.silent()
+    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize("width, height", [(1, 1), (2, 1), (4, 1), (4, 333), (7, 9), (8, 8), (9, 1), (200, 150), (333, 217)])

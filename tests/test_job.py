@@ -37,7 +37,7 @@ def test_a_job_becomes_a_problem(tmp_path):
     plans = {spec.name: spec for spec in problem.program.plans}
     assert (plans["shape"].steps, plans["paint"].steps) == (3, 2)
     assert {"vertices", "vertices.adam_m"} <= set(plans["shape"].updates) and "colors.momentum" in plans["paint"].updates
-    assert set(plans) == {"shape", "shape.loss", "paint", "paint.loss", "render"}
+    assert set(plans) == {"shape", "shape.loss", "shape.terms", "paint", "paint.loss", "render"}
     assert problem.program.values["targets"].initial.shape == (2, SIZE, SIZE, 4)
     assert np.allclose(np.linalg.norm(problem.mesh.positions, axis=1), 0.5)
 

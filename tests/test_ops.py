@@ -35,7 +35,7 @@ WITHOUT_INPUTS = {"texel_index": {"extent": image_extent(6, 4)},
                   "cell_position": {"extent": image_extent(10, 12), "cell_w": 5, "cell_h": 4},
                   "cell_index": {"extent": image_extent(10, 12), "cell_w": 5, "cell_h": 4}}
 RASTER = [o for o in OPS.values() if o.name.startswith("rasterize")]
-SNIPPETS = [o for o in OPS.values() if o.stage == "pixel" or o.stage == "raster" and o not in RASTER]
+SNIPPETS = [o for o in OPS.values() if o.stage in ("pixel", "kernel") or o.lower or o.stage == "raster" and o not in RASTER]
 GRADIENTS = [o for o in OPS.values() if o.vjp is not None]
 ids = {"ids": lambda o: o.name}
 
@@ -70,8 +70,9 @@ def sample(o):
 def test_every_row_has_its_place_in_these_tests():
     leaves = {o.name for o in OPS.values() if o.stage in ("leaf", "inline")}
     assert leaves == {"literal", "constant", "input", "state", "cached"}
-    assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "composite"}
-    assert [o.name for o in OPS.values() if o.stage == "composite"] == ["sum"]
+    assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "kernel", "composite"}
+    assert {o.name for o in OPS.values() if o.stage == "composite"} == {"sum", "exclusive_scan", "bincount"}
+    assert all((o.kernel is not None) == (o.stage == "kernel") for o in OPS.values())
     assert {"rasterize", "rasterize_covered", "rasterize_first", "rasterize_hard", "rasterize_peel",
             "rasterize_segments", "rasterize_contours"} == {o.name for o in RASTER}
     tested = {o.name for o in (*SNIPPETS, *RASTER)} | leaves | {"sum"}

@@ -109,14 +109,20 @@ def test_no_file_names_a_path_of_a_machine():
     assert len(files) > 20 and found == []
 
 
+def copied(folder):
+    """What a wheel is built of, in a folder of its own: setuptools leaves build/ behind."""
+    source = folder / "source"
+    for top in ("dressi_edge", "device_profiles"):
+        shutil.copytree(ROOT / top, source / top, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "setup.py", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    return source
+
+
 @pytest.mark.full
 def test_the_wheel_works_outside_the_checkout(tmp_path):
     """Builds a wheel (build isolation wants the network), and asks what it holds and whether its profiles load."""
-    source = tmp_path / "source"  # a copy: setuptools leaves build/ behind
-    for top in ("dressi_edge", "device_profiles"):
-        shutil.copytree(ROOT / top, source / top)
-    for name in ("pyproject.toml", "setup.py", "LICENSE"):
-        shutil.copy(ROOT / name, source)
+    source = copied(tmp_path)
     python("-m", "pip", "wheel", "-q", "--no-deps", "-w", "wheels", "./source", cwd=tmp_path)
     wheel, = (tmp_path / "wheels").iterdir()
     python("-m", "pip", "install", "-q", "--no-deps", "--target", "site", str(wheel), cwd=tmp_path)
@@ -126,6 +132,8 @@ def test_the_wheel_works_outside_the_checkout(tmp_path):
         return sorted(str(p.relative_to(top)) for p in top.rglob(pattern))
 
     assert listing(site / "dressi_edge", "*.py") == listing(ROOT / "dressi_edge", "*.py")
+    for pattern in ("*.html", "*.css", "*.js"):
+        assert listing(site / "dressi_edge", pattern) == listing(ROOT / "dressi_edge", pattern) != []
     assert listing(site / "dressi_edge" / "device_profiles", "*") == listing(ROOT / "device_profiles", "*.json")
     shutil.rmtree(source)
     where, name = python("-c", "import dressi_edge\nfrom dressi_edge.cache.profile import Profile\n"

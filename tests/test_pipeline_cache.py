@@ -360,6 +360,20 @@ def test_the_environment_chooses_the_folder(monkeypatch, tmp_path):
     assert cache.default_folder() == (None, "DRESSI_CACHE=off")
 
 
+@pytest.mark.parametrize("system, environment, folder", [
+    ("darwin", {}, ("Library", "Caches", "dressi_edge")), ("win32", {}, ("AppData", "Local", "dressi_edge", "cache")),
+    ("win32", {"LOCALAPPDATA": "local"}, ("local", "dressi_edge", "cache")), ("linux", {}, (".cache", "dressi_edge"))])
+def test_each_system_has_a_place_for_caches(monkeypatch, tmp_path, system, environment, folder):
+    for name in ("DRESSI_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("HOME", "USERPROFILE"):
+        monkeypatch.setenv(name, str(tmp_path))
+    for name, value in environment.items():
+        monkeypatch.setenv(name, str(tmp_path / value))
+    monkeypatch.setattr(cache.sys, "platform", system)
+    assert cache.default_folder() == (os.path.join(tmp_path, *folder), "")
+
+
 # ---- a session
 
 @pytest.fixture(scope="module")

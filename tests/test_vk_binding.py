@@ -176,7 +176,7 @@ def test_a_failing_call_raises():
 
 def test_a_missing_loader_is_one_clear_error(monkeypatch):
     monkeypatch.setattr(vk, "_lib", vk._Library())
-    monkeypatch.setattr(vk, "LIBRARIES", ("libno_vulkan_here.so",))
+    monkeypatch.setattr(vk, "candidates", lambda: ["libno_vulkan_here.so"])
     with pytest.raises(DeviceError, match=r"no Vulkan loader found \(tried libno_vulkan_here.so\): install libvulkan1"):
         Device.open()
 

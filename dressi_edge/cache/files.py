@@ -4,11 +4,15 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
+import time
 
 # A pipe or a device would block when it is opened; what the name stands for is asked of the opened file, not before.
 READ_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0) \
     | getattr(os, "O_CLOEXEC", 0)
 FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+WINDOWS = os.name == "nt"
+BUSY_SECONDS = 2.0  # that a replacement waits for readers there
 
 
 def read_regular(path: str | os.PathLike, limit: int, flags: int = 0, allowed=None) -> bytes:
@@ -47,16 +51,40 @@ def replace_file(path: str | os.PathLike, *parts: bytes) -> None:
         try:
             f.writelines(parts)
             f.flush()
-            os.fsync(f.fileno())
+            _to_disk(f.fileno())
         except BaseException:
             _remove(name)
             raise
     try:
-        os.replace(name, path)
+        _exchange(name, path)
     except BaseException:
         _remove(name)
         raise
     _sync_folder(folder)
+
+
+def _exchange(name: str, path: str | os.PathLike) -> None:
+    """Put a file in the place of another. On Windows a file that somebody reads, a virus scanner too, cannot be replaced: wait for it."""
+    end = time.monotonic() + BUSY_SECONDS
+    while True:
+        try:
+            return os.replace(name, path)
+        except PermissionError:
+            if not WINDOWS or time.monotonic() > end:
+                raise
+            time.sleep(0.02)
+
+
+def _to_disk(handle: int) -> None:
+    """macOS's fsync hands the bytes to the disk, which may keep them; F_FULLFSYNC has it write them."""
+    if sys.platform == "darwin":
+        import fcntl
+        try:
+            fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
+            return
+        except OSError:  # not every file system can
+            pass
+    os.fsync(handle)
 
 
 def _remove(name: str) -> None:

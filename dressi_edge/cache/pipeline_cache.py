@@ -16,6 +16,7 @@ import hashlib
 import os
 import stat
 import struct
+import sys
 import time
 from typing import NamedTuple
 
@@ -60,16 +61,23 @@ def key(bundle_digest: str, vendor_id: int, device_id: int, driver_version: int,
 
 
 def default_folder() -> tuple[str | None, str]:
-    """The folder to use, or None and why there is none: $DRESSI_CACHE ("off": no folder), $XDG_CACHE_HOME/dressi_edge or
-    ~/.cache/dressi_edge."""
+    """The folder to use, or None and why there is none: $DRESSI_CACHE ("off": no folder), $XDG_CACHE_HOME/dressi_edge, else where the
+    system has caches: ~/.cache/dressi_edge, ~/Library/Caches/dressi_edge, %LOCALAPPDATA%/dressi_edge/cache."""
     chosen = os.environ.get("DRESSI_CACHE", "")
     if chosen == "off":
         return None, "DRESSI_CACHE=off"
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    if not os.path.isabs(base):  # its specification: a relative path is invalid and to be ignored
-        base = os.path.expanduser(os.path.join("~", ".cache"))
-    folder = os.path.expanduser(chosen) if chosen else os.path.join(base, "dressi_edge")
+    folder = os.path.expanduser(chosen or _system_folder())
     return (None, "there is no home folder") if folder.startswith("~") else (folder, "")
+
+
+def _system_folder() -> str:
+    """Where this system has the caches of a program."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(base):  # its specification: a relative path is invalid and to be ignored
+        return os.path.join(base, "dressi_edge")
+    if sys.platform == "win32":
+        return os.path.join(os.environ.get("LOCALAPPDATA") or os.path.join("~", "AppData", "Local"), "dressi_edge", "cache")
+    return os.path.join("~", *(("Library", "Caches") if sys.platform == "darwin" else (".cache",)), "dressi_edge")
 
 
 def distrusted(folder: str | os.PathLike) -> str:

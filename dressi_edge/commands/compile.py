@@ -8,12 +8,7 @@ import time
 from ..cache.profile import Profile
 from ..cache.summary import summary
 from .files import check_folder, print_json
-
-
-def _told(done: int, of: int) -> None:
-    """How many pictures are read, on a terminal."""
-    sys.stderr.write(f"\rpictures read: {done} of {of}" + ("\r\x1b[K" if done == of else ""))
-    sys.stderr.flush()
+from .progress import Events, Terminal
 
 
 def compile_job(args) -> None:
@@ -24,8 +19,12 @@ def compile_job(args) -> None:
     from ..compiler.scene.job import load_job
     from ..compiler.scene.targets import Carried
     start = time.perf_counter()
-    job = load_job(args.job, profiles, _told if sys.stderr.isatty() else None, Carried(args.embed, args.memory))
-    description = job.compile(profiles, args.output, storage=args.storage, compute=args.compute)
+    with Events(Terminal()) as events:
+        events.doing(f"reading {args.job}")
+        problem = load_job(args.job, profiles, lambda done, of: events.doing("reading pictures", done, of),
+                           Carried(args.embed, args.memory))
+        events.doing("checking the start")
+        description = problem.compile(profiles, args.output, storage=args.storage, compute=args.compute)
     seconds = time.perf_counter() - start
     variants = description.get("variants", [description])
     plans = {d["profile"]["name"]: summary(d) for d in variants}

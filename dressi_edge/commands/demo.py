@@ -14,7 +14,8 @@ from ..compiler.io.shapes import pear
 from ..compiler.scene import demo as problems
 from ..compiler.scene import results
 from ..runtime.device import Device
-from .run import solve
+from .progress import Events, Terminal
+from .solve import Course, run_course
 
 PROFILE = "vulkan_min"  # what every Vulkan device allows
 
@@ -28,7 +29,7 @@ def demo(args) -> int:
         raise InputError(f"output {folder}: cannot be made a folder: {error.strerror}; choose another path") from None
     size, shape_steps, texture_steps = (64, 40, 20) if args.quick else (256, 400, 200)
     cameras, target = problems.cameras(size), pear()
-    with Device.open(args.device) as device, tempfile.TemporaryDirectory() as scratch:
+    with Device.open(args.device) as device, tempfile.TemporaryDirectory() as scratch, Events(Terminal()) as events:
         def solved(problem, name: str) -> runtime.Session:
             path = os.path.join(scratch, f"{name}.dressi")
             problem.compile(PROFILE, path)
@@ -49,9 +50,10 @@ def demo(args) -> int:
             before, curves, phases = results.snapshot(session), {}, {}
             distance = {"start": _distance(first, target)}
             for name in session.phases:
-                phases[name] = solve(session, name, session.plans[name]["steps"], curves.setdefault(name, []))
-                if phases[name].get("interrupted"):
+                course = run_course(session, Course(name, session.plans[name]["steps"]), events)
+                if course.stopped:
                     raise KeyboardInterrupt
+                phases[name], curves[name] = course.record(), course.curve
             found = results.mesh_of(session)
             distance["end"] = _distance(found, target)
             rows = [("shape", clay(found, "found")), ("true shape", clay(target, "true"))]

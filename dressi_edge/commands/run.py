@@ -1,88 +1,24 @@
-"""`run`: step the phases of a bundle, show how it goes, and write the result. Without an output it needs the runtime alone."""
+"""`run`: step the phases of a bundle, show how it goes, and write the result, on the way too. Without a mesh it needs the runtime alone."""
 from __future__ import annotations
 
 import io
 import os
-import sys
-import time
 
 from ..cache.errors import BundleError, InputError
 from .files import check_folder, print_json, write_file
+from .keep import Chore, Keeper, record_path, resume, save_checkpoint
+from .outputs import Wanted, wanted
+from .progress import Events, JsonLines, Terminal
+from .solve import Course, Terminated, run_course, solve, terminable
 
-POINTS = 60  # of a loss curve, about
-QUIET_SECONDS = 3.0  # between lines where stderr is no terminal
-MESHES = (".glb", ".gltf", ".obj", ".ply")
+__all__ = ["run", "solve"]
 
-
-class Progress:
-    """Loss and ms a step on stderr: a bar on a terminal, else a line every few seconds."""
-
-    def __init__(self, name: str, steps: int):
-        self.name, self.steps, self.last = name, steps, time.monotonic()
-        self.bar = sys.stderr.isatty()
-
-    def show(self, done: int, loss: float | None, ms: float) -> None:
-        """Draw the bar, or write a line if one is due."""
-        now, end = time.monotonic(), done == self.steps
-        text = f"{self.name} {done}/{self.steps}" + (f" loss {loss:.5g}" if loss is not None else "") + f" {ms:.1f} ms a step"
-        if self.bar:
-            full = 24 * done // self.steps
-            sys.stderr.write(f"\r[{'#' * full}{' ' * (24 - full)}] {text}\x1b[K" + ("\n" if end else ""))
-        elif end or now - self.last >= QUIET_SECONDS:
-            sys.stderr.write(text + "\n")
-            self.last = now
-        sys.stderr.flush()
+PICTURES = 12  # views whose start is kept, for sheets and pages
+LIVE_SECONDS = 2.0  # between pictures of the live page
 
 
-def solve(session, phase: str, steps: int, curve: list) -> dict:
-    """Step a phase, appending (iterations done, loss) to `curve`, each count once; what is known of it then. KeyboardInterrupt ends it
-    early; the iterations that were on their way then have run, and count."""
-    has_loss = f"{phase}.loss" in session.values
-    progress, every = Progress(phase, steps), max(1, steps // POINTS)
-    session.step(0, phase)
-    before = _runs(session, phase)
-
-    def measure(done: int) -> float | None:
-        if has_loss and (not curve or curve[-1][0] != done):
-            curve.append((done, session.loss()))
-        return curve[-1][1] if curve else None
-
-    loss, done, spent, chunk, timed, stopped = measure(0), 0, 0.0, 1, [], False
-    start = time.perf_counter()
-    try:
-        while done < steps:
-            n = min(chunk, every - done % every, steps - done)
-            start = time.perf_counter()
-            session.step(n)
-            took = time.perf_counter() - start
-            done, spent = done + n, spent + took
-            if done > n:  # the first chunk holds the driver's compilation
-                timed.append((took, n))
-            if done % every == 0 or done == steps:
-                loss = measure(done)
-            each = took / n
-            chunk = max(1, min(every, int(0.5 / max(each, 1e-6))))
-            progress.show(done, loss, each * 1e3)
-    except KeyboardInterrupt:
-        stopped, known = True, done
-        done = _runs(session, phase) - before  # waits for what was submitted
-        spent += (time.perf_counter() - start) * (done > known)
-        sys.stderr.write(f"\nstopped {phase} after {done} of {steps} steps\n")
-        measure(done)
-    count = sum(n for _, n in timed)
-    each = sum(t for t, _ in timed) / count if count else spent / max(done, 1)
-    out = {"steps": done, "seconds": spent, "ms_per_step": each * 1e3}
-    if curve:
-        out |= {"loss_first": curve[0][1], "loss_last": curve[-1][1]}
-    return out | ({"interrupted": True} if stopped else {})
-
-
-def _runs(session, phase: str) -> int:
-    """Iterations of the phase that have run, an interrupted step's included."""
-    return session.report()["runs"][phase]
-
-
-def _open(args):
+def open_session(args):
+    """The session that a command's arguments ask for: of a bundle, or of a job on the reference. Raises InputError and others."""
     if args.device == "reference":
         if not args.bundle.endswith(".toml"):
             raise InputError(f"{args.bundle}: --device reference runs a job (.toml), for a bundle holds no graph; give the job")
@@ -122,47 +58,163 @@ def _todo(session, args) -> list[tuple[str, int]]:
     return todo
 
 
-def _check_output(path: str) -> str:
-    """The kind of output, "mesh" or "arrays". Raises InputError."""
-    suffix = os.path.splitext(path)[1].lower()
-    if suffix not in (*MESHES, ".npz"):
-        raise InputError(f"output {path}: extension {suffix or 'none'} is unknown; known are {' '.join(MESHES)} .npz")
-    check_folder(path)
-    return "arrays" if suffix == ".npz" else "mesh"
-
-
 def run(args) -> int:
     """The command; its exit code."""
-    kind = args.output and _check_output(args.output)
-    if args.scene and not (args.output or "").lower().endswith((".glb", ".gltf")):
-        raise InputError(f"--scene writes lights and cameras into glTF; -o {args.output} is none: give a .glb or .gltf")
-    results = None
-    if kind == "mesh":
-        from ..compiler.scene import results
-    with _open(args) as session:
-        todo = _todo(session, args)
-        session.ready()
-        if kind == "arrays":
-            _check_names(_states(session))
-        before = None
-        if results:
-            results.check(session)  # fails now rather than after the work
-            before = results.snapshot(session, results.SHOWN)
-        curves, phases = {}, {}
-        for name, steps in todo:
-            phases[name] = solve(session, name, steps, curves.setdefault(name, []))
-            if phases[name].get("interrupted"):
-                break
-        metrics = {"device": session.device.name, "driver": session.device.driver,
-                   "profile": session.report()["profile"], "phases": phases}
-        if results:
-            metrics = results.write(session, args.output, curves, before, metrics, scene=args.scene)
-        elif kind:
-            _save_states(session, args.output)
-        if args.explain:
-            metrics["report"] = session.report()
-    _tell(metrics, args)
-    return 130 if any(p.get("interrupted") for p in phases.values()) else 0
+    files = wanted(args.output or [])
+    if args.scene and not any(w.path.lower().endswith((".glb", ".gltf")) for w in files):
+        raise InputError("--scene writes lights and cameras into glTF; "
+                         f"-o {' '.join(args.output or ['nothing'])} is none: give a .glb or .gltf")
+    _check_paths(args)
+    live = None
+    if args.serve is not None:
+        from .serve import Live
+        live = Live(args.serve, os.path.basename(args.bundle))
+    try:
+        with Events(JsonLines() if args.json_lines else Terminal(), *filter(None, [live])) as events, terminable():
+            return _Run(args, files, events, live).whole()
+    except BaseException:
+        if live:
+            live.close("the run has failed or was interrupted")
+        raise
+
+
+def _check_paths(args) -> None:
+    for path in filter(None, (args.checkpoint, args.preview)):
+        check_folder(path)
+    if args.preview and not args.preview.lower().endswith(".png"):
+        raise InputError(f"--preview {args.preview}: a .png is written; name it so")
+    if args.report:
+        try:
+            os.makedirs(args.report, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--report {args.report}: cannot be made a folder: {error.strerror}; choose another path") from None
+    if args.checkpoint and args.device == "reference":
+        raise InputError("--checkpoint: the reference keeps none; run a bundle")
+
+
+class _Run:
+    """One run of the command."""
+
+    def __init__(self, args, files: list[Wanted], events: Events, live=None):
+        self.args, self.wanted, self.events, self.live = args, files, events, live
+        self.results = None
+        if any(w.kind == "mesh" for w in self.wanted) or args.preview or args.report or live:
+            from ..compiler.scene import results
+            self.results = results
+        self.courses: dict[str, Course] = {}
+        self.before = None
+        self.over = ""  # what the last pages may take their time for
+        self.written: dict = {}  # the metrics of the results, with what was measured
+
+    def whole(self) -> int:
+        """Load, step, write; the exit code."""
+        args = self.args
+        if self.live:
+            self.events.tell("serving", address=self.live.address)
+        self.events.doing(f"loading {args.bundle}")
+        with open_session(args) as session:
+            self.session, todo = session, _todo(session, args)
+            session.ready()
+            self._check_wanted()
+            if self.results:
+                self.before = self.results.snapshot(session, PICTURES)
+            self.courses = (resume(session, args.checkpoint, todo) if args.checkpoint
+                            else {name: Course(name, steps) for name, steps in todo})
+            keeper = Keeper(self.events, self._chores())
+            if self.live:
+                if args.checkpoint:
+                    self.live.keep = lambda: keeper.ask("checkpoint")
+                self.live.begin(session, self.courses, self.before)
+            stopped = self._step(keeper)
+            self.over = "" if stopped else "complete"
+            keeper.finish()
+            if self.live:
+                self.live.close(f"ended early by {stopped}" if stopped else "done")
+            metrics = self.written or self._facts()
+            if args.explain:
+                metrics["report"] = session.report()
+        if args.json_lines:
+            self.events.tell("done", metrics={k: x for k, x in metrics.items() if k not in ("losses", "terms")})
+        else:
+            _tell(metrics, args, self.wanted)
+        return {"": 0, "SIGTERM": 143}.get(stopped, 130)
+
+    def _check_wanted(self) -> None:
+        """Fails now rather than after the work."""
+        for w in self.wanted:
+            if w.kind == "mesh":
+                self.results.check(self.session)
+            elif w.kind == "arrays":
+                _check_names(_states(self.session))
+            else:
+                w.check(self.session)
+        if self.args.preview and self.results.snapshot(self.session, 1) is None:
+            raise InputError(f"--preview: {self.args.bundle} draws no pictures (it has no plan `render`); leave it out")
+
+    def _step(self, keeper: Keeper) -> str:
+        """Step all phases; why that ended early, or nothing."""
+        done: list[Course] = []
+        try:
+            for course in self.courses.values():
+                if course.first:
+                    self.events.tell("resumed", phase=course.phase, done=course.first, steps=course.steps)
+                if course.first < course.steps or not course.curve:
+                    run_course(self.session, course, self.events, keeper.between, self.live and self.live.stop)
+                done.append(course)
+                if course.stopped:
+                    break
+        except KeyboardInterrupt as error:  # between two phases
+            return "SIGTERM" if isinstance(error, Terminated) else "Ctrl-C"
+        complete = all(course.done == course.steps for course in self.courses.values())
+        return "" if complete else done[-1].stopped
+
+    # ---- what is written
+
+    def _chores(self) -> list[Chore]:
+        args, often = self.args, 60.0 * self.args.every
+        chores = [Chore("live", "", LIVE_SECONDS, lambda: self.live.refresh(self.session), quiet=True)] if self.live else []
+        if args.preview:
+            chores.append(Chore("preview", args.preview, args.preview_every, self._preview))
+        if args.checkpoint:
+            chores.append(Chore("checkpoint", args.checkpoint, often,
+                                lambda: save_checkpoint(self.session, args.checkpoint, self.courses)))
+        if args.report:
+            chores.append(Chore("report", os.path.join(args.report, "index.html"), often, self._report))
+        full = next((w for w in self.wanted if w.kind == "mesh"), None)  # with pictures and numbers beside it
+        for w in self.wanted:
+            chores.append(Chore("results", w.path, often, self._writer(w, w is full)))
+        return chores
+
+    def _writer(self, w: Wanted, full: bool):
+        def write() -> None:
+            if full:
+                curves = {name: c.curve for name, c in self._begun().items()}
+                self.written = self.results.write(self.session, w.path, curves, self.before, self._facts(), scene=self.args.scene)
+            elif w.kind == "mesh":
+                self.results.save_result(self.session, w.path, self.args.scene, self.args.scene)
+            elif w.kind == "arrays":
+                _save_states(self.session, w.path)
+            else:
+                w.write(self.session)
+        return write
+
+    def _report(self) -> None:
+        from ..page import result
+        from ..page.html import page
+        data = result.run_data(self.session, os.path.basename(self.args.bundle), list(self._begun().values()), self.before,
+                               times=bool(self.over))
+        write_file(os.path.join(self.args.report, "index.html"), page(data, result.model(self.session)))
+
+    def _preview(self) -> None:
+        self.results.save_sheet(self.session, self.args.preview, self.before)
+
+    def _begun(self) -> dict[str, Course]:
+        return {name: c for name, c in self.courses.items() if c.done or c.curve or c.stopped}
+
+    def _facts(self) -> dict:
+        terms = {name: c.terms for name, c in self._begun().items() if c.terms}
+        return {"device": self.session.device.name, "driver": self.session.device.driver, "profile": self.session.report()["profile"],
+                "phases": {name: c.record() for name, c in self._begun().items()}} | ({"terms": terms} if terms else {})
 
 
 def _states(session) -> list[str]:
@@ -203,9 +255,9 @@ def _save_states(session, path: str) -> None:
     write_file(path, data.getvalue())
 
 
-def _tell(metrics: dict, args) -> None:
+def _tell(metrics: dict, args, files: list[Wanted]) -> None:
     if args.json:
-        print_json({k: x for k, x in metrics.items() if k != "losses"})
+        print_json({k: x for k, x in metrics.items() if k not in ("losses", "terms")})
         return
     for name, p in metrics["phases"].items():
         loss = f"loss {p['loss_first']:.5g} -> {p['loss_last']:.5g}, " if p.get("loss_last") is not None else ""
@@ -214,6 +266,12 @@ def _tell(metrics: dict, args) -> None:
         print("views: " + ", ".join(f"{key.replace('_', ' ')} {x:.4g}" for key, x in views.items()))
     for key, x in metrics.get("report", {}).items():
         print(f"  {key}: {x}")
-    if args.output:
-        names = metrics.get("files", {"states": os.path.basename(args.output)})
-        print(f"in {os.path.dirname(args.output) or '.'}: {' '.join(names.values())}")
+    beside = dict.fromkeys(metrics.get("files", {}).values())
+    for k, w in enumerate(files):
+        names = list(beside) if k == 0 and beside and w.kind == "mesh" else w.names
+        print(f"in {os.path.dirname(w.path) or '.'}: {' '.join(names)}")
+    if args.report:
+        print(f"in {args.report}: index.html")
+    if args.checkpoint:
+        print(f"in {os.path.dirname(args.checkpoint) or '.'}: {os.path.basename(args.checkpoint)} "
+              f"{os.path.basename(record_path(args.checkpoint))}")

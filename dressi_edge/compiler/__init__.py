@@ -11,6 +11,7 @@ from ..cache import vulkan as _v
 from ..cache.bundle_check import MAX_VARIANTS as _MAX_VARIANTS
 from ..cache.errors import GraphError, InputError, PackError, ProfileError
 from ..cache.profile import Profile
+from ..cache.progress import tell
 from ..cache.spirv_interface import parse
 from ..cache.summary import image_bytes
 from ..cache.verify import violations
@@ -23,7 +24,7 @@ from .backend.needs import needs
 from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
 from .passes.compute import choose as choose_compute
-from .passes.compute import find_compute
+from .passes.compute import find_compute, room
 from .passes.domains import find_domains
 from .passes.groups import grouped, lowered
 from .passes.lists import MIN_TEXELS, find_lists
@@ -39,8 +40,9 @@ class Options:
     """How to compile. naive: one function a pass; cache=False: nothing is computed beforehand; stage_packing=False: one substage a pass;
     domains=False: everything is drawn that need not keep what it does not write. These are twins of the same bits, for comparison.
     storage: "half" stores targets and gradients of pixels in 16 bits a channel (docs/numerics.md), "float" does not; by default half
-    if all profiles prefer it. compute: what is dispatched instead of drawn, where the profile allows it: "none"; "pixel", pixelwise
-    work that leaves nothing undrawn; "all", the rest of it, too; by default as the profile prefers. The bits are the same.
+    if all profiles prefer it. compute: what is dispatched instead of drawn, where the profile allows it: "none"; "ops", those that do
+    better where workgroups share memory; "pixel", pixelwise work, too, that leaves nothing undrawn; "all", the rest of it, too; by
+    default as the profile prefers. The bits are the same.
     sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none where it is None.
     memory: bytes that all images may take, None for any."""
 
@@ -81,27 +83,29 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     PackError, ProfileError, InputError, ShaderError."""
     def checked(name: str, value):
         see(name, value)
+        tell(f"compiling for {profile.name}: {name}")
         check(value, profile, options.naive)
         return value
 
     checked("built", program)
     if choose(options.storage, [profile]):
         program = checked("halved", halve(program))
-    groups = checked("simplified", lowered(grouped(program)))
+    kind = choose_compute(options.compute, profile)
+    groups = checked("simplified", lowered(grouped(program), room(kind, profile)))
     if options.lists is not None:
         groups = checked("listed", tuple(find_lists(group, program, profile, options.lists) for group in groups))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]
     packed = [replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed]
-    kind = choose_compute(options.compute, profile)
     packed = checked("packed", tuple(replace(plan, stages=find_compute(plan.stages, profile, kind)) for plan in packed))
     places = checked("placed", allocate(program, packed))
     code = [emit(plan.stages, profile) for plan in packed]
     see("shaders", glsl := shaders(code))
     description, blobs = describe(program, packed, code, places, spirv.compile_all(glsl))
     texels = {name: how for group in groups for name, how in group.told.items()}
-    description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed}}
+    description["meta"] = {**program.meta, "functions": {plan.graph.name: dump.functions(plan) for plan in packed},
+                           "holds": {plan.graph.name: dump.holds(plan) for plan in packed}}
     if texels:
         description["meta"]["texels"] = texels
     if options.memory is not None and (size := sum(image_bytes(x) * x["slots"] for x in description["images"])) > options.memory:

@@ -4,6 +4,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..cache import vulkan as v
+from ..cache.progress import tell
 from . import vk
 
 _ALL_PIPELINE_STAGES = (vk.VK_PIPELINE_STAGE_COLOR_ATTACHMENT_OUTPUT_BIT | vk.VK_PIPELINE_STAGE_FRAGMENT_SHADER_BIT)
@@ -41,6 +42,7 @@ class Pipelines:
                 self.set_layouts.append(set_layout)
                 self.layouts.append(layout)
             for k, p in enumerate(self.d["pipelines"]):
+                tell(f"the driver of {device.name} makes pipelines", k, len(self.d["pipelines"]))
                 self.pipelines.append(self._pipeline(p, self.layouts[k], cache))
             for c in self.d.get("computes", ()):
                 self.computes.append(self._compute(c, cache))

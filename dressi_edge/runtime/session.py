@@ -13,14 +13,14 @@ import numpy as np
 from ..cache import bundle as bundles
 from ..cache import vjp
 from ..cache.copies import ENTER, LEAVE, OUTPUT, PHASE
-from ..cache.errors import BundleError, DeviceError, InputError
+from ..cache.errors import DeviceError, InputError
 from ..cache.layout import Layout, is_int
 from ..cache.profile import Profile
 from ..cache.reactive import Reactive, Rule
 from ..cache.steps import bounded, check_step
 from ..cache.vulkan import HALF_FORMATS
 from . import checkpoint as checkpoints
-from . import vk
+from . import saved, vk
 from .device import Device
 from .emulate import EmulatedDevice
 from .fed import KIND, Fed
@@ -30,7 +30,8 @@ from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
 from .plans import Plan, profile_stages
 from .record import Recording
-from .transfer import Fill, batches, clear, download, read, upload
+from .serial import serial
+from .transfer import Fill, batches, clear, read, upload
 from .work import Work
 
 MAX_SUBMIT = 1 << 16  # iterations in one submission
@@ -58,28 +59,6 @@ def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None =
 
 def _layout(value: dict) -> Layout:
     return Layout(value["layout"], value["type"], value["width"], value["height"], value["count"], value["columns"])
-
-
-def _serial(method):
-    """One call of a session after another. Whoever waits is in `_waiting`, for `step` to let in between chunks. A lost device
-    closes the session."""
-    @functools.wraps(method)
-    def call(self, *args, **options):
-        self._usable()  # before the lock, which a fork may have left locked
-        ticket = object()
-        try:
-            self._waiting.add(ticket)
-            with self._lock:
-                self._waiting.discard(ticket)
-                self._usable()
-                return method(self, *args, **options)
-        except vk.VulkanError as error:
-            if error.result == vk.VK_ERROR_DEVICE_LOST:
-                raise self._lost(error) from error
-            raise
-        finally:
-            self._waiting.discard(ticket)
-    return call
 
 
 class Session:
@@ -240,7 +219,7 @@ class Session:
         if copies:
             self._put(copies)
 
-    @_serial
+    @serial
     def _put(self, copies: list[tuple[str, np.ndarray | Fill]], more: tuple = (), trim: bool = False, cells: Mapping = {}) -> None:  # noqa: B006
         """cells: of a value the record of the part of its image that is meant."""
         self._work.settle()  # an interrupted step may yet flip a state
@@ -296,7 +275,7 @@ class Session:
         """The numbers in its image."""
         return np.float16 if self._d["images"][value["image"]]["format"] in HALF_FORMATS else KIND[is_int(value["type"])]
 
-    @_serial
+    @serial
     def _get(self, readers: Mapping[str, Fill], cells: Mapping = {}) -> None:  # noqa: B006
         """cells: as of `_put`."""
         self._work.settle()
@@ -413,7 +392,7 @@ class Session:
         plan = self._choose(phase)
         return bounded(n, lambda k: self._chunk(plan, k), seconds, stop)
 
-    @_serial
+    @serial
     def _choose(self, phase: str | None) -> Plan:
         if phase is not None:
             if phase not in self.phases:
@@ -423,7 +402,7 @@ class Session:
             raise InputError("this bundle updates nothing: there is no phase to step")
         return self._plans[self.phase]
 
-    @_serial
+    @serial
     def _step(self, n: int, phase: str | None) -> int:
         plan = self._choose(phase)
         self._run(plan, n)
@@ -435,7 +414,7 @@ class Session:
         warm = plan.kept
         return warm * self._timed(plan, n) / n
 
-    @_serial
+    @serial
     def _timed(self, plan: Plan, n: int) -> float:
         start = time.perf_counter()
         self._run(plan, n)
@@ -447,12 +426,12 @@ class Session:
         while waiting & self._waiting and time.perf_counter() < end:
             time.sleep(1e-4)
 
-    @_serial
+    @serial
     def forward(self, name: str) -> dict[str, np.ndarray]:
         """The outputs of `Scene.vjp(name)` with the parameters as they are, by their short names. Raises InputError."""
         return vjp.forward(self, name)
 
-    @_serial
+    @serial
     def backward(self, name: str, **gradients) -> dict[str, np.ndarray]:
         """By parameter, the gradient of whatever has these gradients by the outputs of `name` (arrays of their shapes; none: zero).
         What was drawn for `forward` is not drawn again. Raises InputError."""
@@ -462,7 +441,7 @@ class Session:
         """The loss of the current phase at the current state."""
         return float(self.get(f"{self.phase}.loss"))
 
-    @_serial
+    @serial
     def profile_stages(self, name: str, runs: int = 5) -> list[float]:
         """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps."""
         plan = self._plans[name]
@@ -477,62 +456,22 @@ class Session:
 
     # ---- checkpoints and report
 
-    @_serial
-    def _snapshot(self) -> checkpoints.Checkpoint:
-        self._work.settle()
-        runs = {name: self._runs[name] for name in self.phases}
-        names = self._kept(runs, [n for n, given in self._reactive.given.items() if given])
-        self._give_back(names)
-        data = download(self._work, self._staging, [self._handle(self.values[name]["image"]) for name in names])
-        self._staging.trim(self._largest)
-        return checkpoints.Checkpoint(self.phase, runs, dict(zip(names, data)))
-
-    def _kept(self, runs: dict[str, int], inputs: list[str]) -> list[str]:
-        """The values that a checkpoint holds: states, inputs that were set, and what phases that have run gave out."""
-        given = {name for phase in self.phases if runs[phase] for name in self._plans[phase].rule.outputs}
-        known = {*given, *inputs} - {self._fed.name}  # its pictures are known by the bundle, or whoever gives them
-        return [name for name, value in self.values.items() if value["role"] == "state" or name in known]
-
-    def _not_finite(self, kept: checkpoints.Checkpoint) -> str:
-        """Which input or state of it has numbers that `set` would refuse, in words; else nothing."""
-        for name, data in kept.values.items():
-            value = self.values[name]
-            if value["role"] != "output" and not is_int(value["type"]):
-                numbers = self._layouts[name].from_image(self._pixels(value, np.frombuffer(data, np.uint8)))
-                if bad := np.count_nonzero(~np.isfinite(numbers)):
-                    return f"{name} has {bad} values that are NaN or Inf"
-        return ""
-
     def checkpoint(self, path: str | os.PathLike) -> None:
         """Write all states, inputs and counters to a file, atomically. Raises InputError if it cannot be written, or if a state is no
         longer finite, which no `restore` would take; the file that was there before is then untouched."""
-        kept = self._snapshot()
-        if bad := self._not_finite(kept):
-            raise InputError(f"{os.fspath(path)}: the checkpoint is not written: {bad}, and what goes on from there is of no use; "
-                             "restore an earlier one, and lower the rates")
-        checkpoints.write(path, checkpoints.dumps(kept, self.bundle.digest))
+        saved.checkpoint(self, path)
 
     def restore(self, path: str | os.PathLike) -> None:
         """Take the values and counters of a checkpoint of the same bundle, of whichever variant; what follows is bit-identical
         to what followed there on the same device and variant. Raises InputError if there is no such file, BundleError if it is
         damaged, of another bundle, or holds numbers that `set` would refuse; nothing has changed then."""
-        self._usable()
-        sizes = {name: image_bytes(self._d["images"][value["image"]]) for name, value in self.values.items()}
-        found = checkpoints.read(path, self.bundle.digest, sum(sizes.values()))
-        inputs = [name for name in found.values if name in self._reactive.given]
-        if (found.phase not in (self.phases or [None]) or list(found.runs) != self.phases
-                or list(found.values) != self._kept(found.runs, inputs)
-                or any(len(data) != sizes[name] for name, data in found.values.items())):
-            raise BundleError(f"{os.fspath(path)}: the checkpoint's values are not those of this bundle")
-        if bad := self._not_finite(found):
-            raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
-        unset = [name for name in self._reactive.given if name not in inputs and name != self._fed.name]
-        self._put([(name, np.frombuffer(data, np.uint8)) for name, data in found.values.items()],
-                  (*((self._runs, name, n) for name, n in found.runs.items()),
-                   *self._reactive.unset(unset),
-                   (self.__dict__, "phase", found.phase)), trim=True)
+        saved.restore(self, path)
 
-    @_serial
+    @serial
+    def _snapshot(self) -> checkpoints.Checkpoint:
+        return saved.snapshot(self)
+
+    @serial
     def report(self) -> dict:
         """Which variant was taken and why, what ran how often and how often it did not need to, what the session occupies."""
         self._work.settle()

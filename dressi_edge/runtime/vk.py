@@ -14,7 +14,6 @@ Commands have their Vulkan names less "vk". Allocators and counts are left out, 
 an error is raised as VulkanError.
 """
 
-import sys
 from ctypes import CDLL, CFUNCTYPE, POINTER, Array, Structure, Union, _Pointer, cast, create_string_buffer, pointer, sizeof
 from ctypes import c_char as char
 from ctypes import c_char_p as text
@@ -29,9 +28,7 @@ from ctypes import c_uint64 as u64
 from ctypes import c_void_p as ptr
 
 from dressi_edge.cache.errors import DeviceError
-
-LIBRARIES = {"win32": ("vulkan-1.dll",), "darwin": ("libvulkan.dylib", "libvulkan.1.dylib", "libMoltenVK.dylib"),
-             }.get(sys.platform, ("libvulkan.so.1", "libvulkan.so"))
+from dressi_edge.runtime.loader import candidates, missing
 
 
 class VulkanError(DeviceError):
@@ -186,13 +183,13 @@ class _Library:
 
 
 def _open():
-    for name in LIBRARIES:
+    tried = candidates()
+    for name in tried:
         try:
             return CDLL(name)
         except OSError:
             continue
-    raise DeviceError(f"no Vulkan loader found (tried {', '.join(LIBRARIES)}): install libvulkan1 and a driver, "
-                      "on Debian mesa-vulkan-drivers")
+    raise DeviceError(missing(tried))
 
 
 def _signature(name):

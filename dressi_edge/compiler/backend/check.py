@@ -17,7 +17,7 @@ from ..graph.program import Program
 from ..passes.compute import hindrance
 from ..passes.groups import Group
 from ..passes.plans import ENTER, LEAVE, PHASE, PREPARE, PackedPlan, PlanGraph
-from ..passes.substage import FULL, KEPT, LISTED, TEXELS, TILES, Substage, excess, is_inline, is_leaf
+from ..passes.substage import FULL, KEPT, LISTED, TEXELS, TILES, Substage, excess, is_alone, is_inline, is_leaf
 from .allocate import Allocation
 
 
@@ -76,11 +76,13 @@ def _plan(plan: PlanGraph, profile: Profile, naive: bool = False) -> None:
 def _packed(plan: PackedPlan, profile: Profile, naive: bool = False) -> None:
     graph, there = plan.graph, set()
     for k, stage in enumerate(plan.stages):
-        _that(len(stage.substages) == 1 or not any(s.raster for s in stage.substages), f"{graph.name}: stage {k} merges draws of geometry")
+        _that(len(stage.substages) == 1 or not any(is_alone(s.nodes[0]) for s in stage.substages),
+              f"{graph.name}: stage {k} merges draws of geometry, or kernels")
+        _that(stage.compute or not stage.substages[0].kernel, f"{graph.name}: stage {k} draws a kernel")
         for s in stage.substages:
             where = f"{graph.name}: stage {k} ({' '.join(n.op.name for n in s.outputs)})"
             _that((s.extent.width, s.extent.height) == (stage.extent.width, stage.extent.height), f"{where} is of another size")
-            lines = [hindrance(stage, profile)] if s.compute and hindrance(stage, profile) else [] if naive else excess(s, profile)
+            lines = [x for x in [hindrance(stage, profile)] if x] if s.compute else [] if naive else excess(s, profile)
             _that(not lines, f"{where} {'; '.join(lines)}")
             _domain(where, s, graph.kind == LEAVE)
             _that(all(is_leaf(x) or x in there for x in s.images), f"{where} reads what is not written before it")

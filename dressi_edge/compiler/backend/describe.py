@@ -140,9 +140,10 @@ def _stage(stage: Stage, code: Sequence[Code], placed: PlacedStage, refs: Mappin
 
 
 def _dispatch(s: Substage, code: Code, placed: PlacedStage, refs: Mapping[Node, int], tables: _Tables) -> dict:
-    """A stage of compute. Its shader writes every texel that somebody reads: nothing is cleared."""
-    outputs = [{"format": format_number(n), "load": v.LOAD_LOAD if outside == KEPT else v.LOAD_DONT_CARE, "clear": 0}
-               for n, outside in zip(s.outputs, s.domain.outside)]
+    """A stage of compute. Its shader writes every texel that somebody reads, or adds to what is cleared before."""
+    clear = code.dispatch.clear
+    outputs = [{"format": format_number(n), "load": v.LOAD_LOAD if outside == KEPT else v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
+                "clear": clear or 0} for n, outside in zip(s.outputs, s.domain.outside)]
     bindings = [[kind, sampler] for kind, _, sampler in (_binding(b, tables) for b in code.bindings)]
     number = tables.computes.number({"shader": tables.shaders["comp", code.dispatch.shader], "bindings": bindings, "outputs": outputs})
     return {"compute": number, "groups": list(code.dispatch.groups), "images": [refs[b.node] for b in code.bindings],

@@ -15,7 +15,7 @@ from ..graph.formats import format_of
 from ..graph.ir import UNIT, Extent, Node, is_int
 from ..graph.ops.leaf import literal_glsl
 from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
-from ..passes.compute import NARROW, groups, local_size
+from ..passes.compute import NARROW, groups, local_size, spread
 from ..passes.substage import KEPT, LISTED, TEXELS, TILES, Stage, Substage, merged_reads
 
 SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
@@ -90,10 +90,12 @@ class _Names(dict):
 
 @dataclass(frozen=True)
 class DispatchCode:
-    """A dispatch: its shader, which binds the outputs after all others, and how many workgroups there are."""
+    """A dispatch: its shader, which binds the outputs after all others, and how many workgroups there are. clear: what the outputs are
+    before."""
 
     shader: str
     groups: tuple[int, int, int]
+    clear: int | None = None
 
 
 @dataclass(frozen=True)
@@ -187,14 +189,18 @@ class _Emitter:
         return lines
 
     def _entry(self, k: int, e: Extent) -> str:
+        return f"T{k}({self._place_of('(i)', e)})"
+
+    def _place_of(self, i: str, e: Extent) -> str:
+        """Where in an image of this extent an entry is."""
         if e.height == 1:
-            return f"T{k}(ivec2(i, 0))"
+            return f"ivec2({'i' if i == '(i)' else i}, 0)"
         if e.column < e.width:
-            x, y = _place("(i)", e.column, e.height)
-            return f"T{k}(ivec2({x}, {y}))"
+            x, y = _place(i, e.column, e.height)
+            return f"ivec2({x}, {y})"
         if e.width & (e.width - 1) == 0:
-            return f"T{k}(ivec2((i) & {e.width - 1}, (i) >> {e.width.bit_length() - 1}))"
-        return f"T{k}(ivec2((i) % {e.width}, (i) / {e.width}))"
+            return f"ivec2({i} & {e.width - 1}, {i} >> {e.width.bit_length() - 1})"
+        return f"ivec2({i} % {e.width}, {i} / {e.width})"
 
     def names(self, node: Node) -> _Names:
         e = node.extent
@@ -352,6 +358,22 @@ class _Emitter:
                           *self.functions(), "void main() {", pixel, *body, *stores, "}", ""])
         return DispatchCode(text, (*groups(extent), 1))
 
+    def kernel(self) -> DispatchCode:
+        """The dispatch of a kernel."""
+        node = self.stage.nodes[0]
+        kernel, e, k = node.op.kernel_of(node), node.extent, len(self.bindings)
+        names = self.names(node)
+        names |= {"whole": e.width * e.height, "store": "S0", "add": "A0"}
+        across, down = spread(kernel.groups(node))
+        place = self._place_of("(i)", e)
+        access = f"#define S0(i, v) imageStore(o0, {place}, ivec4(v, 0, 0, 0))\n#define A0(i, v) imageAtomicAdd(o0, {place}, v)"
+        text = "\n".join([_HEAD + f"layout(local_size_x = {kernel.lanes}) in;", *self.declarations(None),
+                          f"layout(set = 0, binding = {k}, {_STORED[format_of(node)]}) uniform {'i' * is_int(node.vtype)}image2D o0;",
+                          access, *self.functions(), _mark(kernel.shared, names), "void main() {",
+                          f"int lane_ = int(gl_LocalInvocationIndex), group_ = int(gl_WorkGroupID.y) * {across} + int(gl_WorkGroupID.x);",
+                          _mark(kernel.body, names), "}", ""])
+        return DispatchCode(text, (across, down, 1), kernel.clear)
+
     def geometry(self) -> list[DrawCode]:
         """The draws of a raster op."""
         node, draws = self.stage.nodes[0], []
@@ -383,7 +405,7 @@ def emit_substage(stage: Substage, profile: Profile, inner: Collection[Node] = (
     """The code of a substage. `inner` are read as input attachments, written by an earlier subpass of the same render pass."""
     e = _Emitter(stage, profile, inner)
     if stage.compute:
-        dispatch = e.compute()
+        dispatch = e.kernel() if stage.kernel else e.compute()
         return Code((), tuple(e.bindings), dispatch)
     draws = e.geometry() if stage.raster else [e.pixels()]
     return Code(tuple(draws), tuple(e.bindings))

@@ -1,15 +1,16 @@
-"""GLSL to SPIR-V with Debian's glslang, validated by spirv-val. Equal texts are compiled once."""
+"""GLSL to SPIR-V with glslang, validated by spirv-val. Equal texts are compiled once."""
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 from ...cache.errors import DressiError
+from ...cache.progress import tell
 from . import spirv_cache
+from .tools import environment, find
 
 _compiled: dict[tuple[str, str], bytes] = {}
 
@@ -18,17 +19,9 @@ class ShaderError(DressiError):
     """glslang or spirv-val refused a shader: a defect of the compiler, with the text that shows it."""
 
 
-def _tool(name: str) -> str:
-    path = shutil.which(name)
-    if path is None:
-        raise ShaderError(f"{name} not found; the compiler needs glslang and SPIRV-Tools "
-                          "(Debian: apt-get install glslang-tools spirv-tools)")
-    return path
-
-
 def _commands(source: str, out: str) -> list[list[str]]:
-    return [[_tool("glslangValidator"), "-V", "--target-env", "vulkan1.0", "-g0", "-o", out, source],
-            [_tool("spirv-val"), "--target-env", "vulkan1.0", out]]
+    return [[find("glslangValidator"), "-V", "--target-env", "vulkan1.0", "-g0", "-o", out, source],
+            [find("spirv-val"), "--target-env", "vulkan1.0", out]]
 
 
 # glslang declares all built-in functions of the shader's version of GLSL anew in each process: of 4.50 that takes ten times as long as the
@@ -56,7 +49,7 @@ def _compile_as(stage: str, text: str) -> bytes:
         with open(source, "w") as f:
             f.write(text)
         for command in _commands(source, out):
-            done = subprocess.run(command, capture_output=True, text=True)
+            done = subprocess.run(command, capture_output=True, text=True, env=environment(command[0]))
             if done.returncode:
                 numbered = "\n".join(f"{k + 1:4} {line}" for k, line in enumerate(text.splitlines()))
                 raise ShaderError(f"{os.path.basename(command[0])} refused a shader: {(done.stdout + done.stderr).strip()}\n{numbered}")
@@ -72,13 +65,15 @@ def compile_all(jobs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], bytes]
     folder = spirv_cache.folder() if missing else None
     names = {}
     if folder:
-        tools = {name: _tool(name) for name in ("glslangValidator", "spirv-val")}
+        tools = {name: find(name) for name in ("glslangValidator", "spirv-val")}
         options = " ".join(word for command in _commands("s", "o") for word in command[1:])
         names = {job: spirv_cache.key(tools, options, *job) for job in missing}
         _compiled.update({job: code for job, name in names.items() if (code := spirv_cache.load(folder, name))})
         missing = [job for job in missing if job not in _compiled]
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        _compiled.update(zip(missing, pool.map(_compile, missing)))
+        for k, (job, code) in enumerate(zip(missing, pool.map(_compile, missing))):
+            tell("compiling shaders", k, len(missing))
+            _compiled[job] = code
     if folder and missing:
         spirv_cache.store(folder, {names[job]: _compiled[job] for job in missing})
     return {job: _compiled[job] for job in jobs}

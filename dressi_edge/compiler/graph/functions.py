@@ -15,15 +15,16 @@ from .operators import power, remainder
 from .ops.lookup import constant, constant_table, gather_sum, lookup
 from .ops.matrix import matmul, sparse_matmul
 from .ops.reduce import largest, mean, total
+from .ops.scan import bincount, exclusive_scan
 from .ops.stencil import convolve, downsample, shift, upsample
 from .ops.tables import concat, pad, reshape, slice_table, to_image, to_table
 from .ops.vector import compose
 from .optable import OPS, Op, apply, as_node, nearest, op
 
-__all__ = ["absolute", "apply", "channels", "clamp", "compose", "concat", "constant", "constant_table", "convolve", "cross", "dot",
-           "downsample", "equal", "gather_sum", "largest", "length", "lookup", "matmul", "maximum", "mean", "minimum", "mix", "normalize",
-           "not_equal", "op", "pad", "power", "remainder", "reshape", "select", "shift", "sigmoid", "slice_table", "sparse_matmul", "sqrt",
-           "stop_gradient", "to_float", "to_image", "to_int", "to_table", "total", "upsample"]
+__all__ = ["absolute", "apply", "bincount", "channels", "clamp", "compose", "concat", "constant", "constant_table", "convolve", "cross",
+           "dot", "downsample", "equal", "exclusive_scan", "gather_sum", "largest", "length", "lookup", "matmul", "maximum", "mean",
+           "minimum", "mix", "normalize", "not_equal", "op", "pad", "power", "remainder", "reshape", "select", "shift", "sigmoid",
+           "slice_table", "sparse_matmul", "sqrt", "stop_gradient", "to_float", "to_image", "to_int", "to_table", "total", "upsample"]
 
 
 def _function(row: Op) -> Callable[..., Node]:

@@ -56,6 +56,24 @@ class Draw:
     count: str = ""
 
 
+@dataclass(frozen=True)
+class Kernel:
+    """A compute shader that makes one image, of an op of stage "kernel".
+
+    body: GLSL as in snippets, of which each invocation runs all; it knows `lane_`, its number in the workgroup, and `group_`, that of the
+    workgroup. It writes entries in row-major order, padding among them ({whole} in all): {store}(i, value), or, where all are `clear` at
+    first, {add}(i, value), atomically and of type int. shared: declarations of what a workgroup shares, of so many bytes (`room`). What
+    atomic sums give back nothing may use, for it depends on who came first: a reader of bundles refuses it. lanes: invocations of a
+    workgroup. groups(node): how many workgroups; a few more may run."""
+
+    body: str
+    shared: str
+    lanes: int
+    room: int
+    groups: Callable
+    clear: int | None = None
+
+
 ZERO, NEGATIVE, EMPTY = "zero", "negative", "empty"
 
 
@@ -129,6 +147,8 @@ class Op:
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
     covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none
     alike: tuple[tuple[int, int], ...] = ()  # (input, other): read at places of the other, so of its extent; 1 x 1 is broadcast to it
+    lower: Callable | None = None  # of a composite: inputs, attributes, room= bytes that workgroups share or None -> what it is made of
+    kernel: Kernel | Callable | None = None  # of stage "kernel": a `Kernel`, or what makes one of the node
     size: Callable | None = None  # (node, sizes of its inputs) -> log2 of its usual magnitude; None: that of the largest float
     sample: Callable | None = field(default=None, compare=False)
     doc: str = ""
@@ -136,6 +156,10 @@ class Op:
     def read(self, k: int) -> str:
         """How input k is read."""
         return self.reads[k] if k < len(self.reads) else OWN
+
+    def kernel_of(self, node: Node) -> Kernel:
+        """The kernel of a node of this op."""
+        return self.kernel if isinstance(self.kernel, Kernel) else self.kernel(node)
 
     def __call__(self, *inputs, **attrs) -> Node:
         """The node of this op: `apply`."""

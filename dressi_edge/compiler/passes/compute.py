@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ...cache import vulkan as v
-from ...cache.errors import InputError
+from ...cache.errors import InputError, PackError
 from ...cache.limits import COMPUTE
 from ...cache.profile import Profile
 from ..graph.formats import format_number, format_of
@@ -43,6 +43,20 @@ def groups(extent: Extent) -> tuple[int, int]:
     return -(-columns // width), -(-rows // height)
 
 
+def spread(count: int) -> tuple[int, int]:
+    """So many workgroups and perhaps a few more, along x and y: no device takes less than 65535 along one."""
+    across = min(count, 1 << 15)
+    return across, -(-count // across)
+
+
+def room(kind: str, profile: Profile) -> int | None:
+    """Bytes that the workgroups of kernels share; None where there are to be none, or the profile has no place for them."""
+    able = kind != NONE and min(profile.limit("maxComputeWorkGroupInvocations"), profile.limit("maxComputeWorkGroupSize")[0]) >= GROUP \
+        and min(profile.limit(f"{of}StorageImages") for of in ("maxPerStageDescriptor", "maxDescriptorSet")) > 0 \
+        and min(profile.limit("maxComputeWorkGroupCount")[:2]) >= 1 << 15 and profile.format_has("R32_SINT", "storage")
+    return profile.limit("maxComputeSharedMemorySize") if able else None
+
+
 def hindrance(stage: Stage, profile: Profile) -> str:
     """Why a stage is drawn and not dispatched, in words; nothing if it need not be."""
     if len(stage.substages) > 1:
@@ -50,6 +64,8 @@ def hindrance(stage: Stage, profile: Profile) -> str:
     s = stage.substages[0]
     if s.raster:
         return "geometry"
+    if s.kernel:
+        return "; ".join(excess(s, profile))
     for n in s.outputs:
         if format_number(n) not in v.STORABLE.values():
             return f"{format_of(n)} takes a feature to be written"
@@ -62,23 +78,28 @@ def excess(s: Substage, profile: Profile) -> list[str]:
     """What breaks a limit if it is dispatched, one line each."""
     images = {(x, m == FILTERED) for x, m in s.reads if m != COUNT}
     sampled = len(images) + (s.domain.kind == TILES and (s.domain.by, False) not in images) + (s.domain.kind == LISTED)
-    width, height = local_size(s.extent)
+    kernel = s.nodes[0].op.kernel_of(s.nodes[0]) if s.kernel else None
+    width, height = (kernel.lanes, 1) if kernel else local_size(s.extent)
     counts = {"maxPerStageDescriptorStorageImages": len(s.outputs), "maxDescriptorSetStorageImages": len(s.outputs),
               "maxPerStageDescriptorSampledImages": sampled, "maxDescriptorSetSampledImages": sampled,
               "maxPerStageDescriptorSamplers": sum(filtered for _, filtered in images), "maxPerStageResources": sampled + len(s.outputs),
-              "maxComputeWorkGroupInvocations": width * height}
+              "maxComputeWorkGroupInvocations": width * height, "maxComputeSharedMemorySize": kernel.room if kernel else 0}
     lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
              for name, found in counts.items() if found > profile.limit(name)]
-    for name, found in (("maxComputeWorkGroupSize", (width, height, 1)), ("maxComputeWorkGroupCount", (*groups(s.extent), 1))):
+    many = spread(kernel.groups(s.nodes[0])) if kernel else groups(s.extent)
+    for name, found in (("maxComputeWorkGroupSize", (width, height, 1)), ("maxComputeWorkGroupCount", (*many, 1))):
         if any(map(int.__gt__, found, profile.limit(name))):
             lines.append(f"needs {found} {name}; profile {profile.name} allows {profile.limit(name)}")
     return lines
 
 
 def find_compute(stages: Sequence[Stage], profile: Profile, kind: str) -> tuple[Stage, ...]:
-    """The stages, those that can be dispatched so as far as `kind` asks for it."""
+    """The stages, those that can be dispatched so as far as `kind` asks for it; kernels always are. Raises PackError."""
     def wanted(stage: Stage) -> bool:
-        return kind == ALL or kind == PIXEL and stage.substages[0].domain.kind in (FULL, TEXELS)
+        s = stage.substages[0]
+        if s.kernel and (why := hindrance(stage, profile)):
+            raise PackError(f"{s.nodes[0].op.name} {why}; take fewer entries, or compute='none', which draws")
+        return s.kernel or kind == ALL or kind == PIXEL and s.domain.kind in (FULL, TEXELS)
 
     return tuple(stage if not wanted(stage) or hindrance(stage, profile) else
                  replace(stage, substages=(replace(stage.substages[0], compute=True),)) for stage in stages)

@@ -48,7 +48,7 @@ def find_guard(stage: Substage, known: Known, least: int = MIN_COST, apart: Apar
                unread: Callable[[Node, Node], bool] = lambda x, by: False) -> Guard | None:
     """The guard that leaves most work out, by tiles if it can be, before all by those that the graph keeps apart; or None. One that leaves
     out less than `least` is none. apart: of the plan; unread: whether nothing reads x, an output, where a guard is zero."""
-    if stage.raster:
+    if stage.raster or stage.kernel:
         return None
     inside = set(stage.nodes)
     total = sum(n.op.cost for n in stage.nodes)
@@ -84,6 +84,8 @@ def find_domains(plan: PlanGraph, stages: Sequence[Stage], guards: bool = True) 
     def domain(s: Substage) -> Domain:
         if s.raster:
             return Domain(outside=(s.nodes[0].op.clear,))
+        if s.kernel:
+            return Domain(outside=(None,))
         if s.extent in totals and plan.kind != LEAVE:
             return Domain(LISTED, totals[s.extent], outside=tuple(map(use.after_the_last, s.outputs)))
         guard = find_guard(s, known, 0) if plan.kind == LEAVE else find_guard(s, known, MIN_COST, apart, use.unread) if guards else None

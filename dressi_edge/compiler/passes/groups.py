@@ -53,6 +53,6 @@ def grouped(program: Program) -> tuple[Group, ...]:
                  for (name, _), specs in groups.items())
 
 
-def lowered(groups: Sequence[Group]) -> tuple[Group, ...]:
-    """Without composite ops, simplified."""
-    return tuple(replace(group, roots=tuple(tuple(simplify(lower(roots))) for roots in group.roots)) for group in groups)
+def lowered(groups: Sequence[Group], room: int | None = None) -> tuple[Group, ...]:
+    """Without composite ops, simplified. room: as `lower` takes it."""
+    return tuple(replace(group, roots=tuple(tuple(simplify(lower(roots, room))) for roots in group.roots)) for group in groups)

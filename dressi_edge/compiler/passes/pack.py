@@ -21,14 +21,14 @@ from ..graph.optable import OWN
 from .apart import Apart, find_apart
 from .known import Known
 from .split import split
-from .substage import Stage, Substage, edges, is_inline, is_leaf, merged_reads, substage
+from .substage import Stage, Substage, edges, is_alone, is_inline, is_leaf, merged_reads, substage
 
 RECOMPUTE_COST = 24  # work a value may cost to be computed again
 
 
 def _crosses(x: Node, user: Node, mode: str) -> bool:
     """Whether this read needs x stored in an image."""
-    return (mode != OWN or x.extent != user.extent or x.op.stage == "raster" or user.op.stage == "raster")
+    return (mode != OWN or x.extent != user.extent or is_alone(x) or is_alone(user))
 
 
 def _later(x: Node, user: Node, mode: str, apart: Apart) -> bool:
@@ -51,9 +51,9 @@ def _levels(order: Sequence[Node], apart: Apart) -> dict[Node, int]:
         if is_leaf(n):
             continue
         kind = n.extent, apart.tiles.get(n)
-        existing = [] if n.op.stage == "raster" else [g for g in groups.get(kind, ()) if low[n] <= g <= high[n]]
+        existing = [] if is_alone(n) else [g for g in groups.get(kind, ()) if low[n] <= g <= high[n]]
         level[n] = max(existing) if existing else (high[n] if n in read else low[n])
-        if n.op.stage != "raster":
+        if not is_alone(n):
             groups.setdefault(kind, set()).add(level[n])
         for x, m in apart.edges(n):
             high[x] = min(high[x], level[n] - _later(x, n, m, apart))
@@ -66,7 +66,7 @@ def _merge(order: Sequence[Node], level: dict[Node, int], apart: Apart) -> None:
     """Move whole groups down to an earlier group of their kind wherever their inputs are there in time."""
     groups: dict[tuple[Extent, Node | None, int], list[Node]] = {}
     for n in order:
-        if n in level and n.op.stage != "raster":
+        if n in level and not is_alone(n):
             groups.setdefault((n.extent, apart.tiles.get(n), level[n]), []).append(n)
     for extent, tiles, top in sorted(groups, key=lambda key: key[2]):
         members = set(groups[extent, tiles, top])
@@ -84,8 +84,8 @@ def _groups(order: Sequence[Node], level: dict[Node, int], apart: Apart) -> list
     groups: dict[tuple, list[Node]] = {}
     for n in order:
         if not is_leaf(n):
-            key = (level[n], 0 if n.op.stage == "raster" else 1, n.extent.width, n.extent.height, n.extent.count, n.extent.partial,
-                   n.serial if n.op.stage == "raster" else 0, apart.tiles.get(n))  # those three tell groups apart and order none
+            key = (level[n], 0 if is_alone(n) else 1, n.extent.width, n.extent.height, n.extent.count, n.extent.partial,
+                   n.serial if is_alone(n) else 0, apart.tiles.get(n))  # those three tell groups apart and order none
             groups.setdefault(key, []).append(n)
     return [groups[key] for key in sorted(groups, key=lambda key: key[:5])]
 
@@ -124,7 +124,7 @@ def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
     apart = find_apart(order, root_set, Known(order))
     level = _levels(order, apart)
     groups = _groups(order, level, apart)
-    stored = {n for n in order if is_leaf(n) or n in root_set or n.op.stage == "raster"}
+    stored = {n for n in order if is_leaf(n) or n in root_set or is_alone(n)}
     for n in order:
         stored.update(x for x, m in edges(n) if _crosses(x, n, m))
     members: list[list[Node]] = []
@@ -153,7 +153,8 @@ def pack_substages(roots: Sequence[Node], profile: Profile) -> list[Substage]:
         own = set(group)
         outputs = [n for n in nodes if n in own and n in read_elsewhere]
         if outputs:
-            result += split(_needed(nodes, outputs), outputs, profile)
+            kernel = nodes[0].op.stage == "kernel"
+            result += [substage(nodes, outputs)] if kernel else split(_needed(nodes, outputs), outputs, profile)
     return result
 
 
@@ -177,7 +178,8 @@ def _joins(stage: Sequence[Substage], s: Substage, profile: Profile) -> bool:
     """Whether s may be one more subpass of the stage: the same size, reads of its outputs at the same texel only, and within the
     profile's input attachments and the merge rules of tile-based GPUs (docs/packing.md)."""
     first = stage[0]
-    if (first.extent.width, first.extent.height) != (s.extent.width, s.extent.height) or s.raster or any(part.raster for part in stage):
+    alone = any(is_alone(part.nodes[0]) for part in (s, *stage))
+    if alone or (first.extent.width, first.extent.height) != (s.extent.width, s.extent.height):
         return False
     inner = merged_reads(stage, s)
     if not inner or any(x in inner and m != OWN for x, m in s.reads):

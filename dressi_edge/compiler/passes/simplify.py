@@ -1,8 +1,8 @@
 """Rewrite a graph to a smaller equal one, and lower composites.
 
-`lower` replaces ops that no single shader can do (`sum`) by passes. `simplify` folds literals and applies the identities of RULES;
-all rows are exact on finite values: the reference gives the same numbers before and after. The sign of a zero may change, and a product
-with a literal 0 is 0 also where the other factor is infinite or NaN.
+`lower` replaces ops that no single shader can do (`sum`, those with `Op.lower`) by passes. `simplify` folds literals and applies the
+identities of RULES; all rows are exact on finite values: the reference gives the same numbers before and after. The sign of a zero may
+change, and a product with a literal 0 is 0 also where the other factor is infinite or NaN.
 """
 from __future__ import annotations
 
@@ -90,12 +90,14 @@ def simplify(roots: Sequence[Node]) -> list[Node]:
     return [new[root] for root in roots]
 
 
-def lower(roots: Sequence[Node]) -> list[Node]:
-    """The roots' equals without composite ops."""
+def lower(roots: Sequence[Node], room: int | None = None) -> list[Node]:
+    """The roots' equals without composite ops. room: bytes that the workgroups of kernels share; None: there are no kernels."""
 
     def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
         if node.op.name == "sum":
             return lower_sum(inputs[0], node.attrs["count"])
+        if node.op.lower is not None:
+            return node.op.lower(*inputs, **node.attrs, room=room)
         return intern(node.op, inputs, node.attrs, node.vtype, node.extent)
 
     new = rebuild(roots, rewrite)

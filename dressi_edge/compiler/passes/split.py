@@ -13,7 +13,7 @@ from ...cache.profile import Profile
 from ..graph.ir import Node
 from ..graph.optable import FILTERED, VERTEX
 from .pressure import peak
-from .substage import Substage, edges, excess, excess_of, substage
+from .substage import Substage, edges, excess, excess_of, is_alone, substage
 
 SPLIT_COST = 50  # work without loops that each part of a split substage may do again
 PASS_COST = 100_000  # work over all texels that is worth a pass of its own
@@ -39,7 +39,7 @@ def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Subs
 
 def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile) -> bool:
     """Whether a substage holds more numbers at once than the profile's compiler has registers for. No limit: it only costs."""
-    return profile.max_live is not None and nodes[0].op.stage != "raster" and peak(nodes, outputs).count > profile.max_live
+    return profile.max_live is not None and not is_alone(nodes[0]) and peak(nodes, outputs).count > profile.max_live
 
 
 def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:

@@ -47,6 +47,11 @@ class Substage:
         return self.nodes[0].op.stage == "raster"
 
     @property
+    def kernel(self) -> bool:
+        """Whether it is a shader of workgroups that share memory."""
+        return self.nodes[0].op.stage == "kernel"
+
+    @property
     def images(self) -> tuple[Node, ...]:
         """What its shaders read of what lies in images."""
         found = dict.fromkeys(x for x, mode in self.reads if mode != COUNT)
@@ -76,6 +81,11 @@ class Stage:
 def is_inline(node: Node) -> bool:
     """Whether its value is written into the text of its readers."""
     return node.op.stage == "inline"
+
+
+def is_alone(node: Node) -> bool:
+    """Whether it is a substage by itself: geometry, or a kernel."""
+    return node.op.stage in ("raster", "kernel")
 
 
 def is_leaf(node: Node) -> bool:

@@ -5,7 +5,7 @@
     problem.compile("lavapipe", "spot.dressi")
 
 In: a `Mesh`, `Views` (or cameras alone, targets set later). Out: a `Scene`, and its program: each phase gives `<phase>` (updates) and
-`<phase>.loss`; `render()` gives pictures of all views. What this cannot say a `Scene` can.
+`<phase>.loss` of several terms `<phase>.<kind>` of each; `render()` gives pictures of all views. What this cannot say a `Scene` can.
 """
 from __future__ import annotations
 
@@ -184,7 +184,9 @@ class Problem:
             for k, loss in enumerate(losses):
                 value = loss.term(frame, target, compose(*self.background)) if isinstance(loss, Loss) else loss(frame, target)
                 weighted[f"{k}"] = (loss.weight if isinstance(loss, Loss) else 1.0, value)
-            s.minimize(name, steps, optimize, weighted)
+            values = s.minimize(name, steps, optimize, weighted)
+            if len(losses) > 1:
+                s.terms(name, dict(zip(_term_names(losses), values.values())))
 
     def render(self, name: str = "render", softness: Softness | None = None, color: bool = True) -> None:
         """Add a plan that draws all views: output `<name>.color` (views, height, width, 4), RGBA with straight colour over the
@@ -218,3 +220,13 @@ class Problem:
         self.program.meta.update(self.record())
         self.program.attached["pictures"] = self._targets.blobs()
         return compile_program(self.program, profiles, path, memory=self.memory, **options)
+
+
+def _term_names(losses: Sequence[Loss | Callable]) -> list[str]:
+    """What terms are called: by their kind, those of a function by its name, a second one silhouette2."""
+    names: list[str] = []
+    for loss in losses:
+        own = loss.kind if isinstance(loss, Loss) else "".join(c for c in getattr(loss, "__name__", "") if c.isalnum() or c == "_")
+        own = "term" if own in ("", "loss", "step", "lambda") else own
+        names.append(next(n for n in (own, *(f"{own}{k}" for k in range(2, len(losses) + 2))) if n not in names))
+    return names

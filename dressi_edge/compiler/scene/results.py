@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ import numpy as np
 from ...cache.errors import BundleError
 from ..io.cameras import inverse_rigid, rotation_matrix
 from ..io.images import linear_to_srgb
+from ..io.materials import Material, Part
 from ..io.mesh import Mesh
 from ..io.views import Views
-from ..io.writers import contact_sheet, loss_curve, save_json, save_mesh, save_parts
+from ..io.writers import contact_sheet, loss_curve, save_json, save_parts
 from .material_meta import pack, unpack
 from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, seen_meta
 
@@ -153,6 +155,15 @@ def measure(drawn: Iterable[np.ndarray], wanted: Iterable[np.ndarray]) -> dict:
     return out | ({"psnr_mean": float(np.mean(psnr)), "psnr_min": float(np.min(psnr))} if psnr else {})
 
 
+def measured(session) -> dict:
+    """`measure` of all views as they are now, where they are drawn and there are targets; of silhouettes alone without colours."""
+    views = _views(session)
+    if not views or not _has(session, "targets"):
+        return {}
+    found = measure((drawn(session, k) for k in range(views)), (wanted(session, k) for k in range(views)))
+    return found if _has(session, "render.color") else {k: x for k, x in found.items() if k.startswith("iou")}
+
+
 def check(session) -> None:
     """Raises BundleError where the bundle carries nothing to write a mesh file of."""
     if "parts" in meta_of(session):
@@ -161,13 +172,33 @@ def check(session) -> None:
         mesh_of(session)
 
 
+def parts_now(session) -> list[Part]:
+    """What is on the device now as parts: those of a scene, or one surface, its texture or else its colours. Raises BundleError."""
+    if "parts" in meta_of(session):
+        return parts_of(session)
+    mesh = mesh_of(session)
+    if mesh.texture is not None and mesh.uvs is not None:
+        mesh = replace(mesh, colors=None, color_faces=None)  # they would multiply the texture
+    return [Part("surface", mesh, Material("surface", unlit=meta_of(session).get("shading") == "unlit"))]
+
+
 def save_result(session, path: str | Path, lights: bool = False, cameras: bool = False) -> None:
     """Writes what is on the device now as a mesh file: one surface, or the parts of a scene with their materials; and, as glTF, with its
     lights and the cameras that it was seen by, where they were when compiled."""
-    if "parts" in meta_of(session):
-        save_parts(path, parts_of(session), lights_of(session) if lights else (), cameras_of(session) if cameras else ())
-    else:
-        save_mesh(path, mesh_of(session), unlit=meta_of(session).get("shading") == "unlit")
+    scene = "parts" in meta_of(session)
+    save_parts(path, parts_now(session), lights_of(session) if lights and scene else (), cameras_of(session) if cameras and scene else ())
+
+
+def sheet_rows(session, before, extra_rows=()) -> list[tuple[str, np.ndarray]]:
+    """The rows of a contact sheet: those there are, of the first views."""
+    rows = (("before", before), ("after", snapshot(session, SHOWN)), ("target", targets(session, SHOWN)), *extra_rows)
+    return [(label, images[:SHOWN]) for label, images in rows if images is not None]
+
+
+def save_sheet(session, path: str | Path, before: np.ndarray | None = None) -> None:
+    """Writes a contact sheet of how it is now, as PNG; of a session that draws no pictures none."""
+    if rows := sheet_rows(session, before):
+        contact_sheet(rows, path)
 
 
 def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, float]]], before: np.ndarray | None,
@@ -182,25 +213,19 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
              "metrics": out.with_name(f"{out.stem}_metrics.json")}
     metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
     save_result(session, files["mesh"], lights=scene, cameras=scene)
-    views = _views(session)
-    rows = [(label, images[:SHOWN]) for label, images in
-            (("before", before), ("after", snapshot(session, SHOWN)), ("target", targets(session, SHOWN)), *extra_rows)
-            if images is not None]
-    if rows:
+    if rows := sheet_rows(session, before, extra_rows):
         contact_sheet(rows, files["sheet"])
     else:
         del files["sheet"]
-    if views and _has(session, "targets"):
-        metrics["views"] = measure((drawn(session, k) for k in range(views)), (wanted(session, k) for k in range(views)))
-        if not _has(session, "render.color"):
-            metrics["views"] = {k: x for k, x in metrics["views"].items() if k.startswith("iou")}
+    if views := measured(session):
+        metrics["views"] = views
     metrics |= _found(session)
     if any(math.isfinite(y) and y > 0.0 for points in curves.values() for _, y in points):
         loss_curve(curves, files["loss"])
     else:
         del files["loss"]
     metrics["files"] = {kind: path.name for kind, path in files.items()}
-    metrics = _plain(metrics)
+    metrics = plain(metrics)
     save_json(files["metrics"], metrics)
     return metrics
 
@@ -235,12 +260,12 @@ def _found(session) -> dict:
     return out
 
 
-def _plain(value):
+def plain(value):
     """The value in JSON's types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(x) for k, x in value.items()}
+        return {str(k): plain(x) for k, x in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(x) for x in value]
+        return [plain(x) for x in value]
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     return value

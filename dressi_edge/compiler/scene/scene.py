@@ -246,9 +246,12 @@ class Scene:
             pairs = {key: term if isinstance(term, tuple) and len(term) == 2 else (1.0, term) for key, term in terms.items()}
             values = self.minimize(name, steps, optimize, pairs)
             if len(terms) > 1 or any(isinstance(term, tuple) for term in terms.values()):
-                self.program.plan(f"{name}.terms", outputs={f"{name}.{key}": (value, Layout("unit", "float"))
-                                                            for key, value in values.items()},
-                                  dynamic=self.program.plans[-1].dynamic, group=name)
+                self.terms(name, values)
+
+    def terms(self, name: str, values: Mapping[str, Node]) -> None:
+        """The plan of the terms of the phase that was added last, each an output `<name>.<term>`."""
+        self.program.plan(f"{name}.terms", outputs={f"{name}.{key}": (value, Layout("unit", "float")) for key, value in values.items()},
+                          dynamic=self.program.plans[-1].dynamic, group=name)
 
     def check_phase(self, name, steps, optimize, terms) -> None:
         if not isinstance(name, str) or name in self.phases or not name or "." in name:

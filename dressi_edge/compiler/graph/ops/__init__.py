@@ -18,6 +18,7 @@ from . import (
     pixels,
     raster,
     reduce,
+    scan,
     soft,
     stencil,
     tables,

@@ -18,8 +18,8 @@ import numpy as np
 from ....cache.errors import GraphError
 from ..ir import UNIT, Node, table
 from ..optable import apply, as_node, integers, op
-from .compact import CHUNK
 from .lookup import constant_table, to_table
+from .scan import exclusive_scan
 
 SIDE = 8  # tiles a side of a bin
 WORD = 32
@@ -37,38 +37,6 @@ def _bits(words: np.ndarray) -> np.ndarray:
 op("bit_count", "a", infer=integers, glsl="{y} = bitCount({a});", cost=2,
    ref=lambda a: ((a[..., None] >> np.arange(WORD)) & 1).sum(-1), sample=lambda rng: ([rng.integers(-2 ** 31, 2 ** 31, (4, 5, 2))], {}),
    doc="How many of the 32 bits of an integer are set.")
-
-
-def _scan_ref(x, starts, chunk, count):
-    out = np.zeros(x.size, np.int64)
-    flat = x.reshape(-1)[:count]
-    for k in range(0, count, chunk):
-        part = flat[k:k + chunk]
-        out[k:k + chunk][:len(part)] = starts.reshape(-1)[k // chunk] + np.cumsum(part) - part
-    return out.reshape(x.shape)
-
-
-def _scan_infer(name, inputs, attrs):
-    x, starts = inputs
-    if not 0 < attrs["count"] <= x.extent.count or starts.extent.count < -(-attrs["count"] // attrs["chunk"]):
-        raise GraphError(f"{name}: {attrs['count']} entries of {x!r} in chunks of {attrs['chunk']} do not fit the starts {starts!r}")
-    return "int", x.extent
-
-
-op("scan_chunks", "x starts", infer=_scan_infer, reads="texel texel", ref=_scan_ref, cost=40,
-   glsl="""{y} = 0;
-if ({i} < {count}) {y} = {starts_at}({i} / {chunk});
-for (int k_ = {i} < {count} ? {i} - {i} % {chunk} : {i}; k_ < {i}; ++k_) {y} += {x_at}(k_);""",
-   sample=lambda rng: ([rng.integers(0, 9, (7, 5, 1)), rng.integers(0, 100, (5, 1, 1))], {"chunk": 8, "count": 33}),
-   doc="For each entry the start of its chunk plus the sum of the entries before it in the chunk; 0 from `count` on.")
-
-
-def exclusive_scan(x: Node) -> Node:
-    """For each entry of an int table the sum of all before it: chunk sums up a tree, starts down it."""
-    count = x.extent.count
-    if count <= CHUNK:
-        return apply("scan_chunks", x, constant_table(np.zeros(1, int)), chunk=CHUNK, count=count)
-    return apply("scan_chunks", x, exclusive_scan(apply("chunk_counts", x, count=count, chunk=CHUNK)), chunk=CHUNK, count=count)
 
 
 @dataclass(frozen=True)

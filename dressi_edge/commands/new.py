@@ -1,0 +1,37 @@
+"""`new`: a starting job for a folder of pictures, written after looking at what is in it."""
+from __future__ import annotations
+
+import os
+
+from ..cache.errors import InputError
+from .files import check_folder, write_file
+from .progress import Events, Terminal
+
+
+def new(args) -> None:
+    """The command."""
+    path = args.output
+    check_folder(path)
+    if not path.endswith(".toml"):
+        raise InputError(f"output {path}: a job is written; name it .toml")
+    beside = os.path.dirname(os.path.abspath(path))
+    from ..compiler.scene.job import load_job
+    from ..compiler.scene.starting import starting_job
+    with Events(Terminal()) as events:
+        events.doing(f"looking at {args.folder}")
+        start = starting_job(args.folder, beside, os.path.splitext(os.path.basename(path))[0])
+        files = {path: start.text.encode(), **{os.path.join(beside, name): data for name, data in start.files.items()}}
+        if (taken := next((name for name in files if os.path.exists(name)), None)) and not args.force:
+            raise InputError(f"output {taken} exists; name another with -o, or replace it with --force")
+        for name, data in reversed(files.items()):  # what the job names before it
+            write_file(name, data)
+        events.doing(f"trying {path}")
+        try:
+            load_job(path, (), lambda done, of: events.doing("reading pictures", done, of))
+        except InputError as error:
+            raise InputError(f"{error}; {path} is written, correct it there") from None
+    for line in start.told:
+        print(f"- {line}")
+    name = os.path.splitext(path)[0]
+    print(f"in {os.path.dirname(path) or '.'}: {' '.join(os.path.basename(name) for name in files)}; next:\n"
+          f"  dressi-edge compile {path} -p vulkan_min -o {name}.dressi\n  dressi-edge run {name}.dressi -o {name}.glb --serve")
