@@ -203,7 +203,7 @@ class Lambert:
 
     def __call__(self, s: Surface) -> Node:
         albedo, normal = evaluate(self.color, s), facing(s, True) if self.two_sided else s.normal
-        position = s.position if any(light.kind in PLACED for light in self.lights) else normal
+        position = s.position if any(light.kind in PLACED or light.shadow is not None for light in self.lights) else normal
         return albedo * diffuse(normal, position, self.lights)
 
 

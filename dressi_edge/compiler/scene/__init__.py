@@ -10,7 +10,7 @@ from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
 from ..io.writers import save_mesh, save_parts, save_png
 from ..render.geometry import LargeSteps, blend_shapes, linear_model, rigid, similarity, skin
-from ..render.light import Light
+from ..render.light import Light, Shadow
 from ..render.loss import (
     charbonnier,
     cotangent_laplacian,
@@ -43,7 +43,7 @@ from .scene import Scene
 
 __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner", "F",
            "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "PBR", "Problem", "Product",
-           "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Tone", "Unlit",
+           "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness", "Subdivision", "Surface", "Texture", "Tone", "Unlit",
            "Vertex", "Views", "blend_shapes", "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "decode_srgb",
            "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited",
            "linear_mesh", "linear_model", "load_mesh", "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square",

@@ -12,14 +12,14 @@ from ..io.meshes import load_mesh, load_texture, normalize
 from ..io.shapes import sphere
 from ..io.views import Views, load_gltf_views, load_views
 from ..render.light import KINDS as LIGHTS
-from ..render.light import Light
+from ..render.light import Light, Shadow
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from ..render.tone import CURVES, Tone
 from .tables import NEEDED, Table
 
-LIGHT = ("kind", "power", "vector", "direction", "cone")
+LIGHT = ("kind", "power", "vector", "direction", "cone", "shadow")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
@@ -124,6 +124,17 @@ def softness_of(soft: dict, side: int) -> Softness:
     return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"))
 
 
+def _shadow_of(t: Table) -> Shadow | None:
+    """Reads shadow of a light: true, or how it is drawn."""
+    if not t.has("shadow") or t.get("shadow") is False:
+        return None
+    if t.get("shadow") is True:
+        return Shadow()
+    own = t.table("shadow", ("size", "filter", "bias", "limit"))
+    numbers = {key: own.number(key, whole=key in ("size", "filter")) for key in own.has("size", "filter", "bias", "limit")}
+    return own.checked(Shadow, **numbers)
+
+
 def light_of(t: Table) -> Light:
     kind, power = t.word("kind", allowed=LIGHTS), t.get("power")
     if isinstance(power, list):
@@ -137,6 +148,8 @@ def light_of(t: Table) -> Light:
     spot = {"direction": t.numbers("direction", 3)} if kind == "spot" else {}
     if t.has("cone"):
         spot["cone"] = tuple(math.radians(a) for a in t.numbers("cone", 2, low=0, high=90))
+    if shadow := _shadow_of(t):
+        spot["shadow"] = shadow
     return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3), **spot)
 
 
