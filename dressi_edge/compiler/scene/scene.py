@@ -34,6 +34,7 @@ from ..io.mesh import middle_of
 from ..io.meshes import Mesh
 from ..render.atlas import Atlas
 from ..render.camera import fixed_views, posed_views
+from ..render.environment import Environment
 from ..render.frame import Frame
 from ..render.light import Light, Shadow
 from ..render.material import Unlit
@@ -84,6 +85,7 @@ class Scene:
         self._frames: list[Frame] = []
         self._steps: dict[str, Node] = {}
         self.background = self._background(background)
+        self.surroundings: Environment | None = None  # shown behind all parts in place of the background, through `encode`
 
     # ---- values
 
@@ -260,7 +262,11 @@ class Scene:
         frame = Frame(Parts(tuple(parts)), views, atlas, renderer or Outline(), self.background, all_views=self.atlas, chosen=chosen,
                       sizes=self._sizes, encode=self.encode, step=step,
                       who=lambda k: f"part {parts[k].name}: its material {place(parts[k].material)}")
-        frame.background = frame.at(frame.background)
+        if self.surroundings is None:
+            frame.background = frame.at(frame.background)
+        else:
+            behind = self.surroundings.seen(frame)
+            frame.background = self.encode(behind) if self.encode else behind
         self._frames.append(frame)
         return frame
 
