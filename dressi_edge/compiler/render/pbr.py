@@ -21,6 +21,7 @@ DIELECTRIC = 0.04  # what a surface that is no metal reflects at right angles: i
 class PBR:
     """color: of a metal its reflectance at right angles, else the diffuse colour, linear. roughness: the square root of GGX's alpha, in
     [0, 1], used from 0.02 on. metallic: in [0, 1]. occlusion: the part of ambient light that arrives. emissive: radiance of its own.
+    normal: the direction to shade with, in world space, such as a `NormalMap`; the surface's own unless given.
     two_sided: faces seen from behind are lit from the side on which one sees them; else they are lit as the front.
     Each a source (`material.Source`), one number or three channels as its name says; one channel of a texture is `Channel(Texture(image),
     "y")`. lights: may be empty. environment: light from everywhere by a map, added to them.
@@ -35,6 +36,7 @@ class PBR:
     metallic: Source = 0.0
     occlusion: Source = 1.0
     emissive: Source = 0.0
+    normal: Source | None = None
     lights: Sequence[Light] = ()
     environment: Environment | None = None
     two_sided: bool = False
@@ -46,7 +48,7 @@ class PBR:
             raise InputError(f"environment is {self.environment!r:.60}; an Environment is needed")
 
     def __call__(self, s: Surface) -> Node:
-        n, v, color = facing(s, self.two_sided), s.to_eye, _vec3(evaluate(self.color, s))
+        n, v, color = facing(s, self.two_sided, self.normal), s.to_eye, _vec3(evaluate(self.color, s))
         metallic, roughness = evaluate(self.metallic, s), maximum(evaluate(self.roughness, s), LEAST_ROUGHNESS)
         alpha, f0, body = roughness * roughness, mix(DIELECTRIC, color, metallic), color * (1.0 - metallic)
         nv = maximum(dot(n, v), LEAST_COSINE)

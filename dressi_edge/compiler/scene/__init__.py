@@ -31,7 +31,7 @@ from ..render.loss import (
     ssim_loss,
     uniform_laplacian,
 )
-from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, Product, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, NormalMap, Product, Texture, Unlit, Vertex
 from ..render.octahedron import octahedral, panorama
 from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
 from ..render.pbr import PBR
@@ -45,11 +45,11 @@ from .problem import Loss, Problem
 from .scene import Scene
 
 __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner",
-           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "PBR",
-           "Problem", "Product", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness", "Subdivision", "Surface",
-           "Texture", "Tone", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier", "check_op", "corner_normals",
-           "cotangent_laplacian", "decode_srgb", "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere",
-           "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh", "load_panorama", "load_parts",
-           "load_scene", "load_views", "look_along", "look_at", "mean_square", "normal_consistency", "normal_loss", "octahedral",
-           "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png", "similarity", "skin",
-           "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]
+           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "NormalMap", "Optimizer",
+           "Outline", "PBR", "Problem", "Product", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness",
+           "Subdivision", "Surface", "Texture", "Tone", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier", "check_op",
+           "corner_normals", "cotangent_laplacian", "decode_srgb", "depth_loss", "edge_length", "encode_srgb", "face_points",
+           "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh", "load_panorama",
+           "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square", "normal_consistency", "normal_loss",
+           "octahedral", "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png",
+           "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]
