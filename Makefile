@@ -16,7 +16,7 @@ READY := $(VENV)/.ready
 .ONESHELL:
 .SHELLFLAGS := -ec
 .DELETE_ON_ERROR:
-.PHONY: setup test test-full test-drivers test-android apk fuzz fuzz-text fuzz-meshes demo clean
+.PHONY: api setup test test-full test-drivers test-android apk fuzz fuzz-text fuzz-meshes demo clean
 export DRIVERS
 
 setup: $(READY)
@@ -51,6 +51,9 @@ fuzz-text: setup
 
 fuzz-meshes: setup
 	PYTHONPATH=.:tests $(VENV)/bin/python tests/fuzz_meshes.py $(or $(MUTATIONS),100000) $(or $(SEED),0)
+
+api: setup
+	PYTHONPATH=. $(VENV)/bin/python docs/make_api.py build/api.md
 
 demo: setup
 	$(VENV)/bin/dressi-edge demo -o demo_out

@@ -5,7 +5,7 @@
 error  a fine pattern of 2048x2048 texels (checks of 4 texels, waves of 7, noise) on a plane that goes to the horizon, a ball and Spot
        (where DIR/meshes holds it), one view of 256x256: root mean square difference from 8 x 8 samples a pixel, where all of those hit
 step   six views of 256x256 by colours, geometry that stays, Adam, textures of several sizes: bilinear with lists of touched texels,
-       bilinear with every texel updated, trilinear with mips; and drawing alone, of a texture that rests
+       bilinear with every texel updated, trilinear with mips
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from texture import pattern
 
 from dressi_edge import runtime
 from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
-from dressi_edge.compiler.scene import Adam, Camera, HardSoftRas, Product, Scene, Texture, Unlit, l2, look_at, orbit, pear, sphere
+from dressi_edge.compiler.scene import Adam, Camera, HardSoftRas, Scene, Texture, Unlit, l2, look_at, orbit, pear, sphere
 
 BY = 8  # samples a pixel and axis of the truth
 COLUMNS = ("case", "ms", "least_ms", "cpu_ms", "ratio", "ratio_dense")
@@ -71,14 +71,13 @@ def errors(options: argparse.Namespace, folder: Path) -> tuple[list[dict], dict]
     return rows, report
 
 
-def scene_of(mesh: Mesh, cameras: Sequence[Camera], size: int, mips: bool, rests: bool) -> Scene:
-    scene, start = Scene(cameras), pattern(size) * 0.5 + 0.2
-    texture = scene.input("texture", start, kind="image") if rests else scene.parameter("texture", start, 0.0, 1.0, kind="image")
-    color = Texture(texture, mips=mips)
-    scene.add(mesh, material=Unlit(Product([color, scene.parameter("tint", [1.0, 1.0, 1.0])]) if rests else color))
+def scene_of(mesh: Mesh, cameras: Sequence[Camera], size: int, mips: bool) -> Scene:
+    scene = Scene(cameras)
+    texture = scene.parameter("texture", pattern(size) * 0.5 + 0.2, 0.0, 1.0, kind="image")
+    scene.add(mesh, material=Unlit(Texture(texture, mips=mips)))
     seen = scene.frame(HardSoftRas(r=2.0, delta=0.0))
     photo = scene.input("photo", np.full((len(cameras), *seen.cell[::-1], 3), 0.4))
-    scene.phase("fit", 1000, {"tint" if rests else "texture": Adam(0.01)}, color=l2(seen.color, photo))
+    scene.phase("fit", 1000, {"texture": Adam(0.01)}, color=l2(seen.color, photo))
     return scene
 
 
@@ -88,25 +87,25 @@ def main(arguments: list[str] | None = None) -> None:
     spot = options.data / "meshes" / "spot" / "spot.obj"
     mesh, name = (normalize(load_mesh(spot)), "Spot") if spot.is_file() and not options.quick else (pear(96), "the pear")
     cameras = views(6, 64 if options.quick else 256)
-    ways = {"bilinear": (False, {"sparse_texels": 1} if options.quick else {}, False), "dense": (False, {"sparse_texels": None}, False),
-            "mips": (True, {}, False), "rests": (False, {}, True), "rests, mips": (True, {}, True)}
+    ways = {"bilinear": (False, {"sparse_texels": 1} if options.quick else {}), "dense": (False, {"sparse_texels": None}),
+            "mips": (True, {})}
     with tempfile.TemporaryDirectory(prefix="dressi-mips-") as name_of_folder:
         folder, results = Path(name_of_folder), []
         found, report = errors(options, folder) if options.only in "error" else ([], {})
         for size in (64,) if options.quick else (256, 512, 1024, 2048):
             opened = {}
             try:
-                for way, (mips, how, rests) in ways.items():
+                for way, (mips, how) in ways.items():
                     case = f"{name}, six views, texture {size}, {way}"
                     if options.only in case and options.only != "error":
-                        scene_of(mesh, cameras, size, mips, rests).compile(options.profile, folder / "fit.dressi", **how)
+                        scene_of(mesh, cameras, size, mips).compile(options.profile, folder / "fit.dressi", **how)
                         opened[way] = session = runtime.load(folder / "fit.dressi", options.device)
                         session.step(5)
                 meters = {way: Meter(lambda s=session: s.step(1, "fit")) for way, session in opened.items()}
                 take_turns(list(meters.values()), options.seconds)
                 rows = {way: meter.row for way, meter in meters.items()}
                 for way, row in rows.items():
-                    base = rows.get("rests" if way.startswith("rests") else "bilinear", row)
+                    base = rows.get("bilinear", row)
                     made = {"case": f"texture {size}, {way}", **row, "ratio": rounded(row["cpu_ms"] / base["cpu_ms"])}
                     if way == "mips" and "dense" in rows:
                         made["ratio_dense"] = rounded(row["cpu_ms"] / rows["dense"]["cpu_ms"])

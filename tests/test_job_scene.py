@@ -12,6 +12,7 @@ from dressi_edge.commands import run
 from dressi_edge.compiler.graph.functions import compose, constant_table
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.meshes import load_parts
+from dressi_edge.compiler.io.panorama import load_panorama, write_hdr
 from dressi_edge.compiler.io.writers import save_mesh, save_png
 from dressi_edge.compiler.scene import Scene, Texture, Unlit, Vertex, icosphere, orbit, pear, results
 from dressi_edge.compiler.scene.job import parse_job
@@ -118,6 +119,9 @@ def test_every_parameter_can_be_named(folder):
     ({"light": [{"kind": "ambient", "power": 1}]}, "no part's material has a use for it"),
     ({"mesh": {"path": "pear.glb"}}, "mesh is an unknown key"),
     ({"phase": []}, "phase is missing"),
+    ({"environment": {"path": "sky.hdr", "radiance": [1, 1, 1]}}, "environment: path .* or radiance .* is needed, and not both"),
+    ({"environment": {"radiance": [1, 1, 1], "size": 50}}, "environment.size is 50; allowed: 16 32"),
+    ({"environment": {"radiance": [1, 1, 1], "background": False}}, "no part's material is of kind pbr, and it is not shown"),
     ({"render": {"tone": {"curve": "bright"}}}, "render.tone.curve is 'bright'; allowed: linear reinhard aces filmic"),
     ({"part": [job()["part"][0] | {"material": {"kind": "lambert", "roughness": 0.5}}]}, "roughness is no setting of lambert; drop it"),
     ({"part": [job()["part"][0] | {"material": {"kind": "pbr", "roughness": 2}}]}, "material.roughness is 2; a number from 0 to 1"),
@@ -152,6 +156,24 @@ def test_a_job_has_metal_and_a_tone_curve(folder, gpu):
         session.step(8)
         assert session.loss() < before and float(session.get("exposure")) != -0.5
     gpu.silent()
+
+
+def test_a_job_finds_the_light_around_a_part(folder, tmp_path):
+    """compile, run: a metal ball under a panorama, of which map, turn and strength are looked for; what was found is written."""
+    (folder / "sky.hdr").write_bytes(write_hdr(np.full((16, 32, 3), 0.4)))
+    shiny = {"name": "ball", "sphere": {"vertices": 162, "radius": 0.5},
+             "material": {"kind": "pbr", "color": [0.8, 0.8, 0.8], "metallic": 1}}
+    fit = {"name": "fit", "steps": 3, "optimize": {"environment": {key: {"rate": 0.02} for key in ("map", "rotation", "strength")}},
+           "loss": [{"kind": "color"}]}
+    light = {"path": "sky.hdr", "size": 16, "background": True}
+    (folder / "light.toml").write_text(toml(job(part=[shiny], environment=light, phase=[fit])))
+    assert command("compile", folder / "light.toml", "-p", "lavapipe", "-o", tmp_path / "x.dressi").returncode == 0
+    done = command("run", tmp_path / "x.dressi", "-o", tmp_path / "out.glb")
+    assert done.returncode == 0, done.stderr
+    metrics = json.loads((tmp_path / "out_metrics.json").read_text())
+    assert metrics["files"]["environment"] == "out_environment.hdr" and metrics["losses"]["fit"][-1][1] < metrics["losses"]["fit"][0][1]
+    found = load_panorama(tmp_path / "out_environment.hdr")
+    assert found.shape == (32, 64, 3) and np.abs(found - 0.4).max() > 0.01
 
 
 def test_parts_in_map_coordinates_come_back_there(folder, tmp_path, gpu):

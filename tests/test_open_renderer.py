@@ -274,7 +274,7 @@ def broken_type(s):
 
 
 def broken_attribute(s):
-    return s.tangent
+    return s.velocity
 
 
 def broken_extent(s):
@@ -283,7 +283,7 @@ def broken_extent(s):
 
 @pytest.mark.parametrize("make, what", [
     (lambda: ball_scene(broken_type).frame().color, r"ball: its material broken_type at test_open_renderer.py:\d+ gives .*float.*vec3"),
-    (lambda: ball_scene(broken_attribute).frame().color, r"broken_attribute at test_open_renderer.py:\d+ reads .*'tangent'"),
+    (lambda: ball_scene(broken_attribute).frame().color, r"broken_attribute at test_open_renderer.py:\d+ reads .*'velocity'"),
     (lambda: ball_scene(broken_extent).frame().color, r"broken_extent at .* over .*is needed"),
     (lambda: ball_scene(Texture(constant_table(np.ones(3)))).frame().color, "Texture gives|texture"),
     (lambda: ball_scene(0.5), "its material is 0.5; a function surface -> vec3 is needed"),

@@ -181,7 +181,7 @@ DOMAIN = {"log": lambda a: a > 0, "log2": lambda a: a > 0, **dict.fromkeys(("sin
 SPECIAL_INT = np.array([0, 1, -1, 2, 7, 30, -100, 12345, -40000, 2 ** 30, -2 ** 31])
 INTEGER_ONLY = {"idiv", "imod", "shift_left", "shift_right", "bit_and", "bit_or", "bit_count"}
 INTEGER_TOO = {"add", "sub", "neg", "abs", "sign", "min", "max", "copy", "less", "less_equal", "greater", "greater_equal",
-               "equal", "not_equal", "stop_gradient"}
+               "equal", "not_equal", "stop_gradient", "kept"}
 UNARY_BINARY = [o for o in SNIPPETS if o.infer in (elementwise, floats, integers, _compare) or o.name in ("to_float", "to_int")]
 
 

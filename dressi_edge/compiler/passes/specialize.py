@@ -96,7 +96,7 @@ def _cut(roots: Sequence[Node], dirty: set[Node], moving: set[Node], prefix: str
     order = topological(roots)
     dirty = dirty | again(roots, order, dirty, moving)
     for n in order:
-        if n.op.held:
+        if n.op.held or n.op.keeps:
             cost[n] = 1
         elif n.op.stage == "pixel" and n.op.loop is None and all(n.op.read(k) == OWN for k in range(len(n.inputs))):
             cost[n] = n.op.cost + sum(cost[x] for x in n.inputs)
@@ -108,7 +108,10 @@ def _cut(roots: Sequence[Node], dirty: set[Node], moving: set[Node], prefix: str
 
     def keep(n: Node) -> Node:
         """n itself, rebuilt, or its cached leaf."""
-        if n.op.stage in ("leaf", "inline") or cost[n] <= KEEP_COST or new[n].op.stage == "leaf":
+        if n.op.stage in ("leaf", "inline") or new[n].op.stage == "leaf":
+            return new[n]
+        if cost[n] <= KEEP_COST and not n.op.keeps:
+            new[n] = intern(n.op, tuple(map(keep, n.inputs)), n.attrs, n.vtype, n.extent)  # what it keeps lies below
             return new[n]
         if n.op.part and parts[n.inputs[0]] > 1:  # one image instead of several
             new[n] = intern(n.op, (keep(n.inputs[0]),), n.attrs, n.vtype, n.extent)

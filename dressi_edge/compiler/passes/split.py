@@ -23,7 +23,7 @@ def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Subs
     """One substage, or several that each keep the limits: outputs in order, each with what it needs; later parts read the outputs of
     earlier ones. What several would compute and costs more than a pass is stored before them."""
     whole = substage(nodes, outputs)
-    if not excess(whole, profile) and not crowded(nodes, outputs, profile):
+    if not excess(whole, profile) and not crowded(nodes, outputs, profile) and not overloaded(nodes):
         return [whole]
     before: list[Node] = []
     while True:
@@ -42,13 +42,18 @@ def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile) ->
     return profile.max_live is not None and not is_alone(nodes[0]) and peak(nodes, outputs).count > profile.max_live
 
 
+def overloaded(nodes: Sequence[Node]) -> bool:
+    """Whether a substage has several functions each of which wants a shader to itself."""
+    return sum(n.op.alone for n in nodes) > 1
+
+
 def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:
     """Substages that give these in order. A single one that is too wide is cut inside at the widest node that fits."""
     result: list[Substage] = []
     cones, pending = _Cones(nodes, profile), list(outputs)
     while pending:
         taken: list[Node] = []
-        while pending and cones.fit([*taken, pending[0]]):
+        while pending and cones.fit([*taken, pending[0]]) and not (taken and overloaded(cones.nodes([*taken, pending[0]]))):
             taken.append(pending.pop(0))
         if not taken and cones.keeps([pending[0]]):  # crowded, and no output less to give
             taken = cones.relief(pending[0])

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ...cache.errors import InputError
-from ..graph.functions import apply, compose, constant_table, lookup, select, to_float, to_int
+from ..graph.functions import apply, compose, constant_table, lookup, normalize, select, to_float, to_int
 from ..graph.ir import UNIT, Node, intern, rebuild, table, topological
 from ..graph.ops.join import join
 from .alike import runs
@@ -244,6 +244,18 @@ class Frame:
         """vec2: the pixel's centre in its picture, from the upper left corner."""
         a = self.atlas
         return a.position + compose(a.width / 2, a.height / 2)
+
+    @cached_property
+    def ray(self) -> Node:
+        """vec3 of length 1: the direction in which the camera looks through the pixel, in world space."""
+        a, k, rows = self.atlas, self.of_view(self.views.projection), [self.of_view(row).xyz for row in self.views.rows]
+
+        def through() -> Node:
+            x = (self.pixel.x * (2.0 / a.width) - 1.0 - k.z) / k.x
+            y = (self.pixel.y * (2.0 / a.height) - 1.0 - k.w) / k.y
+            return normalize(rows[0] * x - rows[1] * y - rows[2])
+
+        return self.views.either(lambda: -normalize(rows[2]), through, self.of_view)
 
     @cached_property
     def valid(self) -> Node:

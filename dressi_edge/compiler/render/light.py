@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ...cache.errors import GraphError, InputError
@@ -12,6 +12,29 @@ from ..graph.ir import UNIT, Node
 
 KINDS = ("directional", "point", "spot", "ambient")
 PLACED = ("point", "spot")  # of which `vector` is a position
+SIZES = (16, 4096)  # of a shadow map
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """How a light's shadow is drawn. size: of the map in texels, a side (of each of the six of a point light). filter: texels a side over
+    which the edge of a shadow is spread, 1 to 5.
+
+    A surface must not shadow itself: what lies less than a bias behind the map counts as lit. The bias is `bias` texels of the map as large
+    as they are there, plus as much as the face that the map shows falls away over the filter, at most `limit` texels. Thinner things lose
+    their shadow, and shadows begin so far behind what casts them. Raises InputError."""
+
+    size: int = 1024
+    filter: int = 2
+    bias: float = 1.0
+    limit: float = 16.0
+
+    def __post_init__(self) -> None:
+        for name, low, high, kind in (("size", *SIZES, int), ("filter", 1, 5, int), ("bias", 0, 1e4, float), ("limit", 0, 1e4, float)):
+            x = getattr(self, name)
+            if isinstance(x, bool) or not isinstance(x, (int, kind)) or not low <= x <= high:
+                what = "a whole number" if kind is int else "a number"
+                raise InputError(f"shadow: {name} is {x!r:.40}; {what} from {low:g} to {high:g} is needed")
 
 
 @dataclass(frozen=True)
@@ -19,13 +42,15 @@ class Light:
     """kind "directional": `vector` is the direction in which the light travels, `power` its irradiance; "point": position and intensity;
     "spot": those, with the `direction` in which its cone opens, and `cone`: the angles from that, in radians, up to which the intensity is
     whole and from which on there is none, falling in between as in KHR_lights_punctual; "ambient": power is the radiance from everywhere.
-    Three numbers each (power: or one), or a vec3 of extent 1x1: a parameter; cone: two numbers."""
+    Three numbers each (power: or one), or a vec3 of extent 1x1: a parameter; cone: two numbers. shadow: how its shadow is drawn, of which
+    `Scene.lit` and `Scene.shadow` make a function of points (vec3) that gives the share of the light that arrives; None: all of it."""
 
     kind: str
     power: tuple[float, float, float] | Node
     vector: tuple[float, float, float] | Node | None = None
     direction: tuple[float, float, float] | Node | None = None
     cone: tuple[float, float] = (0.0, math.pi / 4)
+    shadow: Shadow | Callable[[Node], Node] | None = None
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -52,11 +77,25 @@ class Light:
             raise InputError(f"{self.kind} light: cone is {self.cone!r:.60}; two angles in radians, 0 <= inner < outer <= pi / 2, are "
                              "needed")
         object.__setattr__(self, "cone", tuple(map(float, self.cone)))
+        fits = self.shadow is None or isinstance(self.shadow, Shadow) or callable(self.shadow)
+        if not fits or self.shadow is not None and self.kind == "ambient":
+            raise InputError(f"{self.kind} light: shadow is {self.shadow!r:.60}; a Shadow is needed, and of an ambient light, which comes "
+                             "from everywhere, none")
+
+    def share(self, position: Node) -> Node | float:
+        """How much of the light arrives at a point (vec3) for all that stands in its way. Raises InputError."""
+        if self.shadow is None:
+            return 1.0
+        if isinstance(self.shadow, Shadow):
+            raise InputError(f"a {self.kind} light's shadow is of no scene yet; give materials what scene.shadow(light) makes of it")
+        return self.shadow(position)
 
     def arriving(self, position: Node) -> tuple[Node, Node, Node | float]:
         """At a point (vec3): power, the direction to the light (vec3, length 1), and what 1 / power of its irradiance is: 1, or the
         squared distance. Of a light that is not ambient."""
         power, vector = _node(self.power), _node(self.vector)
+        if self.shadow is not None:
+            power = power * self.share(position)
         if self.kind == "directional":
             return power, -normalize(vector), 1.0
         to_light = vector - position
@@ -80,6 +119,8 @@ def diffuse(normal: Node, position: Node, lights: Sequence[Light]) -> Node:
             term = _node(light.power)
         elif light.kind == "directional":
             power, vector = _node(light.power), _node(light.vector)
+            if light.shadow is not None:
+                power = power * light.share(position)
             term = power * (maximum(-dot(n, normalize(vector)), 0.0) / math.pi)
         else:
             power, to_light, squared = light.arriving(position)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cache.errors import GraphError, InputError
-from ..graph.functions import apply, compose, dot, maximum, normalize, select
+from ..graph.functions import apply, compose, cross, dot, maximum, normalize, select, sqrt
 from ..graph.ir import UNIT, Node
 from ..graph.optable import as_node
 from .light import PLACED, Light, diffuse
@@ -167,9 +167,28 @@ def evaluate(source: Source, surface: Surface) -> Node | float:
     raise InputError(f"{source!r:.60} is no source of a material; a number, three numbers, a node or a function of the surface is needed")
 
 
-def facing(s: Surface, two_sided: bool) -> Node:
-    """The normal to shade with, of length 1; two_sided: turned round where the face is seen from behind."""
-    n = normalize(s.normal)
+@dataclass(frozen=True)
+class NormalMap:
+    """A source, of a material's `normal`: the direction in world space that a picture of normals says. source: x along the tangent, y along
+    the bitangent, z along the normal, each from -1 to 1 stored as 0 to 1 (glTF 2.0, 3.9.3); scale: of x and y. Where there is no tangent,
+    or the picture says zero, the surface's own normal."""
+
+    source: Source
+    scale: Source = 1.0
+
+    def __call__(self, s: Surface) -> Node:
+        n, t = apply("kept", normalize(s.normal)), apply("kept", s.tangent)
+        map = evaluate(self.source, s) * 2.0 - 1.0
+        x, y = (map.xy * evaluate(self.scale, s)).x, (map.xy * evaluate(self.scale, s)).y
+        bent = t.xyz * x + cross(n, t.xyz) * (t.w * y) + n * map.z
+        squared = dot(bent, bent)
+        return select(squared > 1e-8, bent, n) / sqrt(select(squared > 1e-8, squared, 1.0))
+
+
+def facing(s: Surface, two_sided: bool, normal: Source | None = None) -> Node:
+    """The normal to shade with, of length 1: the surface's own or what a material says; two_sided: turned round where the face is seen
+    from behind."""
+    n = normalize(s.normal) if normal is None else normalize(evaluate(normal, s))
     return select(dot(s.geometric_normal, s.to_eye) < 0.0, -n, n) if two_sided else n
 
 
@@ -192,37 +211,41 @@ class Unlit:
 @dataclass(frozen=True)
 class Lambert:
     """A diffuse surface: color (E / pi max(n.l, 0) + ambient), summed over the lights. A point light of intensity I at distance d gives
-    E = I / d^2. two_sided: faces seen from behind are lit from the side on which one sees them."""
+    E = I / d^2. two_sided: faces seen from behind are lit from the side on which one sees them. normal: the direction to shade with, in
+    world space, such as a `NormalMap`; the surface's own unless given."""
 
     color: Source
     lights: Sequence[Light]
     two_sided: bool = False
+    normal: Source | None = None
 
     def __post_init__(self) -> None:
         _check_lights(self.lights)
 
     def __call__(self, s: Surface) -> Node:
-        albedo, normal = evaluate(self.color, s), facing(s, True) if self.two_sided else s.normal
-        position = s.position if any(light.kind in PLACED for light in self.lights) else normal
+        plain = not self.two_sided and self.normal is None
+        albedo, normal = evaluate(self.color, s), s.normal if plain else facing(s, self.two_sided, self.normal)
+        position = s.position if any(light.kind in PLACED or light.shadow is not None for light in self.lights) else normal
         return albedo * diffuse(normal, position, self.lights)
 
 
 @dataclass(frozen=True)
 class BlinnPhong:
     """Lambert, and where a light is in front specular E max(n.h, 0)^gloss, h half way between light and eye (Blinn 1977). gloss > 0.
-    two_sided: as in `Lambert`."""
+    two_sided and normal: as in `Lambert`."""
 
     color: Source
     specular: Source
     gloss: Source
     lights: Sequence[Light]
     two_sided: bool = False
+    normal: Source | None = None
 
     def __post_init__(self) -> None:
         _check_lights(self.lights)
 
     def __call__(self, s: Surface) -> Node:
-        n, gloss, shine = facing(s, self.two_sided), evaluate(self.gloss, s), None
+        n, gloss, shine = facing(s, self.two_sided, self.normal), evaluate(self.gloss, s), None
         for light in self.lights:
             if light.kind == "ambient":
                 continue

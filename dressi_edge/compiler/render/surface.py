@@ -15,6 +15,7 @@ from ..graph.functions import compose, constant_table, dot, lookup, maximum, nor
 from ..graph.ir import Node
 from ..graph.optable import as_node
 from .normals import unit_face_normals, vertex_normals
+from .tangents import handedness, tangent_table
 from .texture import Wrap, level_of_detail, sample_texture
 
 if TYPE_CHECKING:
@@ -86,6 +87,17 @@ class Surface:
         if mesh.uvs is None:
             raise InputError(f"part {self.part.name}: its mesh has no texture coordinates, and its material reads them")
         return np.asarray(mesh.uvs)[mesh.uv_faces]
+
+    @cached_property
+    def tangent(self) -> Node:
+        """vec4: the direction in which u grows, at right angles to the normal, of length 1; and 1, or -1 where the texture is mirrored:
+        the bitangent is w (normal x tangent), against v. Zero where texture coordinates lie on a line. Raises InputError."""
+        part = self.part
+        if part.mesh.uvs is None:
+            raise InputError(f"part {part.name}: its mesh has no texture coordinates, and its material reads tangents")
+        along, n = self.indexed(*tangent_table(part.positions, part.mesh)), self.normal
+        hand = self.per_face(handedness(np.asarray(part.mesh.uvs, float)[np.asarray(part.mesh.uv_faces)])[:, None])
+        return compose(normalize(along - n * dot(along, n), 1e-12), hand)
 
     @cached_property
     def view(self) -> Node:

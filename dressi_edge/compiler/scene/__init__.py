@@ -6,11 +6,13 @@ from ..graph.optable import op
 from ..io.cameras import Camera, look_along, look_at, orbit
 from ..io.mesh import Mesh, corner_normals, linear_mesh
 from ..io.meshes import load_mesh, load_parts
+from ..io.panorama import load_panorama
 from ..io.shapes import icosphere, pear, sphere
 from ..io.views import Views, load_views
 from ..io.writers import save_mesh, save_parts, save_png
+from ..render.environment import Environment
 from ..render.geometry import LargeSteps, blend_shapes, linear_model, rigid, similarity, skin
-from ..render.light import Light
+from ..render.light import Light, Shadow
 from ..render.loss import (
     charbonnier,
     cotangent_laplacian,
@@ -29,7 +31,8 @@ from ..render.loss import (
     ssim_loss,
     uniform_laplacian,
 )
-from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, Product, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, NormalMap, Product, Texture, Unlit, Vertex
+from ..render.octahedron import octahedral, panorama
 from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
 from ..render.pbr import PBR
 from ..render.raster import Binned, HardSoftRas, Outline, Renderer, Softness
@@ -41,11 +44,12 @@ from .file_scene import load_scene
 from .problem import Loss, Problem
 from .scene import Scene
 
-__all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner", "F",
-           "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "Optimizer", "Outline", "PBR", "Problem", "Product",
-           "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Softness", "Subdivision", "Surface", "Texture", "Tone", "Unlit",
-           "Vertex", "Views", "blend_shapes", "charbonnier", "check_op", "corner_normals", "cotangent_laplacian", "decode_srgb",
-           "depth_loss", "edge_length", "encode_srgb", "face_points", "huber", "icosphere", "l1", "l2", "landmarks", "limited",
-           "linear_mesh", "linear_model", "load_mesh", "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square",
-           "normal_consistency", "normal_loss", "op", "orbit", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts",
-           "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]
+__all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner",
+           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "NormalMap", "Optimizer",
+           "Outline", "PBR", "Problem", "Product", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness",
+           "Subdivision", "Surface", "Texture", "Tone", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier", "check_op",
+           "corner_normals", "cotangent_laplacian", "decode_srgb", "depth_loss", "edge_length", "encode_srgb", "face_points",
+           "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh", "load_panorama",
+           "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square", "normal_consistency", "normal_loss",
+           "octahedral", "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png",
+           "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]

@@ -22,7 +22,7 @@ from ..io.materials import Part, TextureMap
 from ..io.meshes import load_parts
 from ..io.pieces import listed
 from ..render.light import Light
-from ..render.material import Channel, Coordinates, Corner, Product, Texture, Unlit, Vertex
+from ..render.material import Channel, Coordinates, Corner, NormalMap, Product, Texture, Unlit, Vertex
 from ..render.pbr import PBR
 from ..render.tone import encode_srgb
 from .scene import Scene
@@ -154,7 +154,9 @@ class _Builder:
         return PBR(color, roughness, metallic, lights=self.lights, two_sided=m.double_sided, **more)
 
     def _normal(self, part: Part, name: str) -> dict:
-        return {}
+        """The map of normals, along tangents of the mesh's own texture coordinates."""
+        found = self._map(part, f"{name}.normal_texture", part.material.normal_texture)
+        return {} if found is None or part.mesh.uvs is None else {"normal": NormalMap(found, part.material.normal_scale)}
 
 
 def _product(sources: list, factor):

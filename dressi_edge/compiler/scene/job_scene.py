@@ -23,6 +23,7 @@ from ..io.frame import recentred_parts
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
 from ..render import loss as losses
 from ..render.brdf import LEAST_ROUGHNESS
+from ..render.environment import Environment
 from ..render.frame import Frame
 from ..render.geometry import similarity
 from ..render.light import Light
@@ -37,7 +38,22 @@ from . import sense
 from .limits import fits_views
 from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
-from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, tone_of, views_of
+from .sections import (
+    ENVIRONMENT,
+    LIGHT,
+    MESH,
+    SHARP,
+    SOFT,
+    environment_of,
+    light_of,
+    mesh_of,
+    optimizer_of,
+    schedule_of,
+    soft,
+    softness_of,
+    tone_of,
+    views_of,
+)
 from .tables import Table
 from .targets import Carried, Targets, at_once, targets_of, windowed
 
@@ -129,7 +145,7 @@ class _PhaseTable:
 def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
                 told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
-    job = Table(document, "", ("part", "views", "render", "light", "phase"), str(path))
+    job = Table(document, "", ("part", "views", "render", "light", "environment", "phase"), str(path))
     parts = [_part(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
     if not parts:
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
@@ -144,6 +160,10 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         raise render.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")
     tone = tone_of(render, srgb)
     lights = [light_of(x) for x in job.tables("light", LIGHT)]
+    around = environment_of(job, path.parent)
+    if around is not None and all(p.kind != "pbr" for p in parts) and not around.shown:
+        raise InputError(f"{path}: environment is given, but no part's material is of kind pbr, and it is not shown; change one, or drop "
+                         "it")
     if lights and all(p.kind == "unlit" for p in parts):
         raise InputError(f"{path}: light[0] is given, but no part's material has a use for it; make one lambert, or drop it")
     phases = [_phase(t, [p.name for p in parts]) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
@@ -166,7 +186,10 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
     if tone is not None:
         exposure = scene.parameter("exposure", tone.exposure) if "exposure" in optimized else tone.exposure
         scene.encode = replace(tone, exposure=exposure)
-    builder = _Builder(scene, optimized, lights, linear or srgb)
+    surroundings = None if around is None else job.table("environment", ENVIRONMENT).checked(around.into, scene, optimized)
+    if around is not None and around.shown:
+        scene.surroundings = surroundings
+    builder = _Builder(scene, optimized, lights, linear or srgb, surroundings)
     for p, mesh in zip(parts, meshes):
         p.table.checked(builder.part, p, mesh)
     middle = builder.cameras(meshes)
@@ -282,6 +305,7 @@ class _Builder:
     optimized: set[str]
     lights: Sequence[Light]
     decode: bool
+    surroundings: Environment | None
 
     def part(self, p: _PartTable, mesh: Mesh) -> Part:
         if self.decode:
@@ -291,6 +315,8 @@ class _Builder:
         settings |= {key: self._setting(p, mesh, key) for key in p.settings if key not in ("color", "two_sided")}
         if "two_sided" in p.settings:
             settings["two_sided"] = p.settings["two_sided"]
+        if p.kind == "pbr":
+            settings["environment"] = self.surroundings
         if p.kind != "unlit":
             settings["lights"] = self._lights(p)
         make = KINDS[p.kind]
@@ -348,7 +374,7 @@ class _Builder:
 
     def _lights(self, p: _PartTable) -> list[Light]:
         """The lights, of which every part that is lit shares the parameters."""
-        if not self.lights:
+        if not self.lights and (p.kind != "pbr" or self.surroundings is None):
             raise InputError(f"material.kind is {p.kind!r}, but there is no [[light]]; give at least one")
         return self.scene.lit(self.lights)
 

@@ -17,7 +17,7 @@ from ..io.images import linear_to_srgb, png_bytes, srgb_to_linear
 from ..io.materials import Material, TextureMap
 from ..io.mesh import Mesh
 from ..io.textures import Picture
-from ..render.material import Channel, Coordinates, Corner, Product, Texture, Unlit, Vertex, moved
+from ..render.material import Channel, Coordinates, Corner, NormalMap, Product, Texture, Unlit, Vertex, moved
 from ..render.pbr import PBR
 from ..render.texture import wraps_of
 
@@ -47,6 +47,8 @@ def described(material, names: Mapping[Node, str]) -> dict:
     of the session's values."""
     if isinstance(material, PBR):
         found = {key: _source(getattr(material, key), names) for key in FIELDS}
+        if isinstance(material.normal, NormalMap):
+            found |= {"normal": _source(material.normal.source, names), "normal_scale": _source(material.normal.scale, names)}
         return {"kind": "pbr", "two_sided": material.two_sided, **found}
     if isinstance(material, Unlit) and isinstance(material.color, (Product, Texture)):
         return {"kind": "unlit", "color": _source(material.color, names)}
@@ -214,6 +216,9 @@ class Sources:
         if found := self.textures("occlusion"):
             texels = self._channel(*found[0])
             m = replace(m, occlusion_texture=self.map(found[0][0], np.repeat(texels, 3, -1), f"{name} occlusion"))
+        if "normal" in self.entry and (found := self.textures("normal")):
+            m = replace(m, normal_texture=self.map(found[0][0], self.texels(found[0][0], False), f"{name} normals"),
+                        normal_scale=float(self.factor("normal_scale", 1)[0]))
         glow = self.textures("emissive")
         emissive = self.factor("emissive", 3)
         m = replace(m, emissive=tuple(float(max(x, 0.0)) for x in emissive))

@@ -17,8 +17,10 @@ from ..io.cameras import inverse_rigid, rotation_matrix
 from ..io.images import linear_to_srgb
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
+from ..io.panorama import write_hdr
 from ..io.views import Views
 from ..io.writers import contact_sheet, loss_curve, save_json, save_parts
+from ..render.octahedron import panorama
 from .material_meta import pack, unpack
 from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, seen_meta
 
@@ -213,6 +215,10 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
              "metrics": out.with_name(f"{out.stem}_metrics.json")}
     metrics = {**metrics, "losses": {name: [list(point) for point in points] for name, points in curves.items()}}
     save_result(session, files["mesh"], lights=scene, cameras=scene)
+    if "environment.map" in _changed(session):
+        files["environment"] = out.with_name(f"{out.stem}_environment.hdr")
+        square = np.asarray(session.get("environment.map"), np.float64)
+        files["environment"].write_bytes(write_hdr(panorama(square, 2 * len(square))))
     if rows := sheet_rows(session, before, extra_rows):
         contact_sheet(rows, files["sheet"])
     else:
@@ -230,11 +236,15 @@ def write(session, out: str | Path, curves: Mapping[str, Sequence[tuple[int, flo
     return metrics
 
 
+def _changed(session) -> set[str]:
+    """The values that some plan updates."""
+    d = session.bundle.description
+    return {d["values"][k]["name"] for plan in d["plans"] for k in plan["updates"]}
+
+
 def _found(session) -> dict:
     """Cameras, lights and single values of parts, where they were optimized."""
-    d = session.bundle.description
-    changed = {d["values"][k]["name"] for plan in d["plans"] for k in plan["updates"]}
-    out: dict = {}
+    changed, out = _changed(session), {}
     lights = {name: (np.asarray(session.get(name)) + _origin(session, name)).tolist() for name in sorted(changed)
               if name.startswith("light") and name.count(".") == 1}
     if lights:

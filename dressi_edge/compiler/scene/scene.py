@@ -28,17 +28,21 @@ from ..graph.autodiff import gradients
 from ..graph.functions import apply, compose, constant, constant_table, dot, lookup, total
 from ..graph.ir import UNIT, Node, topological
 from ..graph.program import Program
+from ..graph.reference import evaluate
 from ..io.cameras import Camera
+from ..io.mesh import middle_of
 from ..io.meshes import Mesh
 from ..render.atlas import Atlas
 from ..render.camera import fixed_views, posed_views
+from ..render.environment import Environment
 from ..render.frame import Frame
-from ..render.light import Light
+from ..render.light import Light, Shadow
 from ..render.material import Unlit
 from ..render.optimizer import Optimizer
 from ..render.part import Part, Parts
 from ..render.raster import Outline, Renderer
 from ..render.schedule import Schedule
+from ..render.shadow import Deferred, ShadowMap, shadow_map
 from .layouts import layout_for, layout_of, pictures_layout
 from .limits import fits_program, profiles_of
 from .where import caller, place
@@ -81,6 +85,7 @@ class Scene:
         self._frames: list[Frame] = []
         self._steps: dict[str, Node] = {}
         self.background = self._background(background)
+        self.surroundings: Environment | None = None  # shown behind all parts in place of the background, through `encode`
 
     # ---- values
 
@@ -190,7 +195,35 @@ class Scene:
                 if start is not None:
                     own[key] = self.parameters[name].node if name in self.parameters else self.parameter(name, start)
             found.append(replace(light, **own))
-        return found
+        return [self.shadow(light) if isinstance(light.shadow, Shadow) else light for light in found]
+
+    def shadow(self, light: Light, shadow: Shadow | None = None, ball: tuple[Sequence[float], float] | None = None) -> Light:
+        """The light, with shadows cast by all parts of the scene, those that are added later too: what materials are to be given.
+        shadow: how they are drawn; by default as the light says, else `Shadow()`. ball: middle and radius of what a directional light's map
+        covers; by default a quarter more than holds all vertices where they start. Visibility has no gradient. Raises InputError."""
+        found = None
+        if shadow is None:
+            shadow = light.shadow if isinstance(light.shadow, Shadow) else Shadow()
+        if ball is not None:
+            middle, radius = self._array("shadow: the middle of the ball", ball[0]), float(ball[1])
+            if middle.shape != (3,) or not (np.isfinite(radius) and radius > 0.0):
+                raise InputError(f"shadow: ball is {ball!r:.60}; a middle of three numbers and a positive radius are needed")
+            found = middle, radius
+
+        def drawn() -> ShadowMap:
+            middle, radius = found or self._ball()
+            return shadow_map(light, shadow, lambda: Parts(tuple(self.parts)), middle, radius)
+
+        return replace(light, shadow=Deferred(drawn))
+
+    def _ball(self) -> tuple[np.ndarray, float]:
+        """A quarter more than the ball around all vertices as they start."""
+        starts = {v.node.attrs["name"]: v.layout.to_image(v.initial, "start") for v in self.program.values.values()
+                  if v.initial is not None and v.node.op.held}
+        rows = evaluate([part.positions for part in self.parts], starts)
+        points = np.concatenate([x.reshape(-1, 3)[:len(part.mesh.positions)] for x, part in zip(rows, self.parts)])
+        middle = middle_of(points)
+        return middle, 1.25 * max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
 
     def step(self, phase: str) -> Node:
         """How many steps of a phase are done: an int of extent 1x1."""
@@ -229,7 +262,11 @@ class Scene:
         frame = Frame(Parts(tuple(parts)), views, atlas, renderer or Outline(), self.background, all_views=self.atlas, chosen=chosen,
                       sizes=self._sizes, encode=self.encode, step=step,
                       who=lambda k: f"part {parts[k].name}: its material {place(parts[k].material)}")
-        frame.background = frame.at(frame.background)
+        if self.surroundings is None:
+            frame.background = frame.at(frame.background)
+        else:
+            behind = self.surroundings.seen(frame)
+            frame.background = self.encode(behind) if self.encode else behind
         self._frames.append(frame)
         return frame
 

@@ -3,23 +3,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from ..io.decode import Masks
 from ..io.mesh import Mesh
 from ..io.meshes import load_mesh, load_texture, normalize
+from ..io.panorama import load_panorama
 from ..io.shapes import sphere
 from ..io.views import Views, load_gltf_views, load_views
+from ..render.environment import Environment
 from ..render.light import KINDS as LIGHTS
-from ..render.light import Light
+from ..render.light import Light, Shadow
+from ..render.octahedron import SIZES, octahedral
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from ..render.tone import CURVES, Tone
 from .tables import NEEDED, Table
 
-LIGHT = ("kind", "power", "vector", "direction", "cone")
+ENVIRONMENT = ("path", "radiance", "size", "rotation", "strength", "background")
+LIGHT = ("kind", "power", "vector", "direction", "cone", "shadow")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
@@ -124,6 +130,17 @@ def softness_of(soft: dict, side: int) -> Softness:
     return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"))
 
 
+def _shadow_of(t: Table) -> Shadow | None:
+    """Reads shadow of a light: true, or how it is drawn."""
+    if not t.has("shadow") or t.get("shadow") is False:
+        return None
+    if t.get("shadow") is True:
+        return Shadow()
+    own = t.table("shadow", ("size", "filter", "bias", "limit"))
+    numbers = {key: own.number(key, whole=key in ("size", "filter")) for key in own.has("size", "filter", "bias", "limit")}
+    return own.checked(Shadow, **numbers)
+
+
 def light_of(t: Table) -> Light:
     kind, power = t.word("kind", allowed=LIGHTS), t.get("power")
     if isinstance(power, list):
@@ -137,7 +154,46 @@ def light_of(t: Table) -> Light:
     spot = {"direction": t.numbers("direction", 3)} if kind == "spot" else {}
     if t.has("cone"):
         spot["cone"] = tuple(math.radians(a) for a in t.numbers("cone", 2, low=0, high=90))
+    if shadow := _shadow_of(t):
+        spot["shadow"] = shadow
     return t.checked(Light, kind, power, None if kind == "ambient" else t.numbers("vector", 3), **spot)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """[environment], read: what loads the map, its rotation and strength, whether it is seen behind the parts."""
+
+    load: Callable[[], np.ndarray]
+    rotation: tuple[float, float, float]
+    strength: float
+    shown: bool
+
+    def into(self, scene, optimized: set[str]) -> Environment:
+        """The environment, with parameters for what is optimized."""
+        own = {key: scene.parameter(f"environment.{key}", x, low) if f"environment.{key}" in optimized else x
+               for key, x, low in (("rotation", self.rotation, None), ("strength", self.strength, 0.0))}
+        light = self.load()
+        if "environment.map" in optimized:
+            return Environment(scene.parameter("environment.map", light, 0.0, kind="image"), **own)
+        return Environment(light, **own)
+
+
+def environment_of(job: Table, folder: Path) -> Surroundings | None:
+    """Reads [environment]; None where there is none."""
+    if not job.has("environment"):
+        return None
+    t = job.table("environment", ENVIRONMENT)
+    if len(t.has("path", "radiance")) != 1:
+        raise t.conflict("path (a panorama) or radiance (three numbers, the same from everywhere) is needed, and not both")
+    path, same = t.file("path", folder, None), t.numbers("radiance", 3, None, 0)
+    size = t.number("size", 64, whole=True)
+    if size not in SIZES:
+        raise t.wrong("size", size, f"allowed: {' '.join(map(str, SIZES))}")
+
+    def load() -> np.ndarray:
+        return np.full((size, size, 3), 1.0) * same if path is None else octahedral(t.checked(load_panorama, path), size)
+
+    return Surroundings(load, t.numbers("rotation", 3, (0.0, 0.0, 0.0)), float(t.number("strength", 1.0, 0.0)), t.flag("background", True))
 
 
 def tone_of(render: Table, srgb: bool) -> Tone | None:

@@ -137,5 +137,7 @@ op("sqrt", "a", infer=floats, ref=lambda a: np.sqrt(np.maximum(a, 0.0)), glsl="{
    vjp=lambda g, y, a: (select(a > 1e-30, g * 0.5 / apply("max", y, 1e-15), 0.0),),
    sample=lambda rng: ([rng.uniform(0.3, 3, (4, 5, 3))], {}),
    doc="Square root; 0 below zero; the gradient at 0 is 0.")
+op("kept", "a", infer=elementwise, keeps=True, ref=lambda a: a, glsl="{y} = {a};", cost=0, vjp=lambda g, y, a: (g,),
+   doc="The value; where it rests, in one image of its own, and what is cheap is computed from that.")
 op("copy", "a", infer=elementwise, ref=lambda a: a, glsl="{y} = {a};", vjp=lambda g, y, a: (g,),
    doc="The value in an image of its own.")

@@ -187,8 +187,8 @@ def _list_infer(name, inputs, attrs):
     return "vec2", table(8 * lod.extent.width * lod.extent.height)
 
 
-op("mip_list", "rows bins ordered footprint lod", attrs="width height", reads="texel texel texel texel texel", cost=300, ref=_list_ref,
-   infer=_list_infer, glsl=_list_glsl, sample=lambda rng: (list(_chain(rng)), dict(_SIZE)),
+op("mip_list", "rows bins ordered footprint lod", alone=True, attrs="width height", reads="texel texel texel texel texel", cost=300,
+   ref=_list_ref, infer=_list_infer, glsl=_list_glsl, sample=lambda rng: (list(_chain(rng)), dict(_SIZE)),
    doc="(pixel, weight) of each texel's reads, texel by texel of all levels: own bin, left, above, above to the left.")
 
 

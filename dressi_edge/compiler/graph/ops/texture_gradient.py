@@ -196,7 +196,7 @@ def _merge_sample(rng):
 
 
 # Entry d of a merged pair of runs has `lo` of the first before it: the least for which the first's entry exceeds the second's.
-op("merge_runs", "a run", infer=_merge_infer, reads="texel own", ref=_merge_ref, cost=200, sample=_merge_sample,
+op("merge_runs", "a run", alone=True, infer=_merge_infer, reads="texel own", ref=_merge_ref, cost=200, sample=_merge_sample,
    glsl="""{ int n_ = {a_w} * {a_h}, d_ = {i} & (2 * {run} - 1), first_ = {i} - d_, second_ = first_ + {run};
     {y} = {a}({p});
     if (second_ < n_ && {a_at}(second_ - 1).x > {a_at}(second_).x) {
@@ -227,7 +227,7 @@ def _ordered(rng, width=8, height=3):
     return footprint, ordered, bins, rows, _list_ref(rows, bins, ordered, footprint)
 
 
-op("texture_bins", "ordered", infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel", ref=_bins_ref,
+op("texture_bins", "ordered", alone=True, infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel", ref=_bins_ref,
    cost=200,
    glsl="""{ int n_ = {ordered_w} * {ordered_h}, lo_ = 0, hi_ = n_, step_ = 1;
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if ({ordered_at}(m_).x < {i}) lo_ = m_ + 1; else hi_ = m_; }
@@ -289,7 +289,7 @@ def _list_infer(name, inputs, attrs):
     return "vec2", table(4 * pixels)
 
 
-op("texture_list", "rows bins ordered footprint", reads="texel texel texel texel", ref=_list_ref, cost=300, infer=_list_infer,
+op("texture_list", "rows bins ordered footprint", alone=True, reads="texel texel texel texel", ref=_list_ref, cost=300, infer=_list_infer,
    glsl="""{ int lo_ = 0, hi_ = {rows_w} * {rows_h};
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if ({rows_at}(m_).x <= {i}) lo_ = m_ + 1; else hi_ = m_; }
     ivec2 r_ = {rows_at}(lo_ - 1);

@@ -223,12 +223,21 @@ class Fragments:
 
     def slopes(self, layer: Layer, corners: np.ndarray, span: Span | None = None) -> tuple[Node, Node]:
         """How a constant attribute of corners, (F, 3, c) as in `interpolate_constant`, changes from pixel to pixel across and down at the
-        layer's point: its derivatives, worked out from the face alone. Zero where the face is too thin for fp32 to tell; no gradient.
-
-        An attribute is sum(e u) / sum(e) with the edge functions e of `barycentrics`, which are linear in the point."""
+        layer's point: its derivatives, worked out from the face alone. Zero where the face is too thin for fp32 to tell; no gradient."""
         topology = (span or self).topology
-        h = [stop_gradient(x) for x in self._screen_corners(layer, span)]
-        point = stop_gradient(layer.point)
+        over, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        h = [stop_gradient(lookup(c, over, boxes)) for c in self.view_corners(self.clip, span)]
+        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
+        face = self.face_in_view(layer, span)
+        return self.plane(layer, h, [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)])[1:]
+
+    def plane(self, layer: Layer, h: Sequence[Node], values: Sequence[Node]) -> tuple[Node, Node, Node]:
+        """An attribute with these values at the corners of each pixel's face, whose clip coordinates are h: at the layer's point, in
+        perspective, and its derivatives by pixels across and down. Zero where the face is too thin for fp32 to tell.
+
+        It is sum(e u) / sum(e) with the edge functions e of `barycentrics`, which are linear in the point."""
+        scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
+        h, point = [apply("swizzle", x, channels="xyw") * scale for x in h], stop_gradient(layer.point)
         a = [x.xy - point * x.z for x in h]
         e = [_cross2(a[(k + 1) % 3], a[(k + 2) % 3]) for k in range(3)]
         across = [h[(k + 2) % 3].z * a[(k + 1) % 3].y - h[(k + 1) % 3].z * a[(k + 2) % 3].y for k in range(3)]
@@ -237,16 +246,12 @@ class Fragments:
         size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
         solid = absolute(total) > size * DEGENERATE
         inverse = select(solid, 1.0, 0.0) / select(solid, total, 1.0)
-        b = [x * inverse for x in e]
-        sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
-        face = self.face_in_view(layer, span)
-        values = [lookup(constant_table(sorted_corners[:, k]), face) for k in range(3)]
-        mean = b[0] * values[0] + b[1] * values[1] + b[2] * values[2]
+        mean = (e[0] * values[0] + e[1] * values[1] + e[2] * values[2]) * inverse
 
         def slope(by: list[Node]) -> Node:
             return (by[0] * (values[0] - mean) + by[1] * (values[1] - mean) + by[2] * (values[2] - mean)) * inverse
 
-        return slope(across), slope(down)
+        return mean, slope(across), slope(down)
 
     @property
     def view(self) -> Node:
