@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import SHARED
 from gltf_files import CORNER_UVS, SQUARE, TWO, GltfFile, checker
+from jobs import write_job
 
 from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError, InputWarning
@@ -42,6 +43,7 @@ from dressi_edge.compiler.scene import (
     save_parts,
     sphere,
 )
+from dressi_edge.compiler.scene.job import parse_job
 from dressi_edge.compiler.scene.results import save_result
 
 pytest_plugins = ["gpu"]
@@ -202,6 +204,54 @@ def test_what_cannot_be_is_named(tmp_path):
     g.json["extensionsRequired"] = ["EXT_mine"]
     with pytest.raises(InputError, match="requires the glTF extension EXT_mine, which is not read"):
         load_scene(g.save(tmp_path / "c.glb"), VIEW)
+
+
+# Jobs
+
+
+def job(tmp_path, **more):
+    write_job(tmp_path)
+    save_parts(tmp_path / "pot.glb", [Part("pot", icosphere(2, 0.5), Material("m", (0.2, 0.4, 0.6, 1.0), roughness=0.6, stated=True)),
+                                      Part("a lid", icosphere(1, 0.2), Material("n", unlit=True))], LIGHTS[:1])
+    return {"scene": {"path": "pot.glb"}, "views": {"transforms": "photos"},
+            "phase": [{"name": "fit", "steps": 2, "optimize": {"pot": {"color": {"rate": 0.02}, "vertices": {"rate": 0.001}}},
+                       "loss": [{"kind": "color"}, {"kind": "laplacian", "part": "pot", "weight": 0.1}]}], **more}
+
+
+def test_a_job_is_a_whole_file(gpu, tmp_path):
+    found = parse_job(job(tmp_path), tmp_path / "job.toml")
+    assert [part.name for part in found.scene.parts] == ["pot", "a_lid"] and set(found.scene.parameters) == {"pot.color", "pot.vertices"}
+    assert [x.kind for x in found.scene.parts[0].material.lights] == ["directional"]
+    found.compile("lavapipe", tmp_path / "a.dressi")
+    with runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+        session.step(2, "fit")
+        save_result(session, tmp_path / "out.glb")
+        moved = np.asarray(session.get("pot.vertices"), float)
+    pot, lid = load_parts(tmp_path / "out.glb")
+    np.testing.assert_allclose(pot.mesh.positions, moved, atol=1e-6)
+    assert not pot.material.unlit and lid.material.unlit and pot.material.base_color[:3] != (0.2, 0.4, 0.6)
+    gpu.silent()
+
+
+def test_a_job_s_lights_are_in_place_of_the_file_s(tmp_path):
+    own = [{"kind": "point", "power": 3.0, "vector": [2.0, 2.0, 2.0], "shadow": True}]
+    found = parse_job(job(tmp_path, light=own), tmp_path / "job.toml")
+    light, = found.scene.parts[0].material.lights
+    assert light.kind == "point" and callable(light.shadow)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"scene": {"path": "nowhere.glb"}}, "scene: .*nowhere.glb does not exist"),
+    ({"scene": {}}, "scene.path is missing"),
+    ({"scene": {"path": "pot.glb", "size": 3}}, "scene.size is an unknown key"),
+    ({"mesh": {"sphere": {}}}, "mesh is an unknown key"),
+    ({"phase": []}, "phase is missing"),
+    ({"phase": [{"name": "p", "steps": 1, "optimize": {"lid.color": {"rate": 1.0}}, "loss": [{"kind": "color"}]}]},
+     "'lid.color' is nothing of it; there are: .*a_lid.color"),
+])
+def test_jobs_of_files_that_are_wrong_are_named(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        parse_job({**job(tmp_path), **change}, tmp_path / "job.toml")
 
 
 # Results out

@@ -21,7 +21,7 @@ from ..io.images import srgb_to_linear
 from ..io.materials import Part, TextureMap
 from ..io.meshes import load_parts
 from ..io.pieces import listed
-from ..render.light import Light
+from ..render.light import Light, Shadow
 from ..render.material import Channel, Coordinates, Corner, NormalMap, Product, Texture, Unlit, Vertex
 from ..render.pbr import PBR
 from ..render.tone import encode_srgb
@@ -100,7 +100,7 @@ class _Builder:
                 if getattr(light, key) is not None and self._wanted(f"light{k}.{key}"):
                     own[key] = self.scene.parameter(f"light{k}.{key}", getattr(light, key))
             out.append(replace(light, **own))
-        return out
+        return [self.scene.shadow(light) if isinstance(light.shadow, Shadow) else light for light in out]
 
     def _number(self, name: str, value, low: float | None = 0.0, high: float | None = 1.0):
         return self.scene.parameter(name, value, low, high) if self._wanted(name) else value

@@ -15,6 +15,7 @@ from ...cache.profile import Profile
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
 from ..io.text import bounded, read_bytes, shown
 from . import sense
+from .job_file import parse_file_scene
 from .job_scene import SceneJob, parse_scene
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
@@ -63,8 +64,8 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     """The problem of a parsed job; `path` is its file, for messages and for the paths in it. The rest: as in `load_job`."""
     path = Path(path)
     bounded(document, str(path))
-    if "part" in document:
-        return parse_scene(document, path, profiles, told, carried)
+    if "part" in document or "scene" in document:
+        return (parse_scene if "part" in document else parse_file_scene)(document, path, profiles, told, carried)
     job = Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
     make_mesh = mesh_of(job.table("mesh", MESH), path.parent)
     views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)

@@ -166,7 +166,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
                          "it")
     if lights and all(p.kind == "unlit" for p in parts):
         raise InputError(f"{path}: light[0] is given, but no part's material has a use for it; make one lambert, or drop it")
-    phases = [_phase(t, [p.name for p in parts]) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
+    phases = [phase_of(t, [p.name for p in parts]) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
     if not phases:
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
     optimized = {key for phase in phases for key in phase.optimize}
@@ -201,7 +201,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
     side = max(scene.width, scene.height)
     for phase in phases:
         softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
-        phase.table.checked(_add_phase, scene, phase, softness, order, seed, targets, background)
+        phase.table.checked(add_phase, scene, phase, softness, order, seed, targets, background)
     one = windowed(order, len(views), scene.width, scene.height, carried.whole)
     seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
     scene.output("render", color=compose(seen.color, seen.alpha))
@@ -269,7 +269,7 @@ def _flat(optimize: dict) -> dict:
     return flat
 
 
-def _phase(t: Table, parts: Sequence[str]) -> _PhaseTable:
+def phase_of(t: Table, parts: Sequence[str]) -> _PhaseTable:
     name, steps = t.word("name"), t.number("steps", low=1, high=10 ** 8, whole=True)
     optimize = t.get("optimize")
     if not isinstance(optimize, dict) or not optimize:
@@ -388,7 +388,7 @@ class _Builder:
         return middle
 
 
-def _add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
+def add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
     frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed)
     target, terms = targets.at(frame), {}
     for term in phase.terms:

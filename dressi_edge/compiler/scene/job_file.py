@@ -1,0 +1,64 @@
+"""Jobs whose scene is a glTF file: [scene] instead of [[part]]; a table in, a `SceneJob` out. docs/job.md lists the keys.
+
+Parts, materials and textures are the file's, and so are the lights unless the job has [[light]]; what phases optimize is called as
+`load_scene` calls it: `<part>.vertices`, `<part>.texture`, `<part>.roughness`, ..., `light0.power`.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ...cache.profile import Profile
+from ..graph.functions import compose
+from ..io.mesh import Mesh, middle_of
+from ..io.meshes import load_parts
+from ..render.raster import renderer_of
+from ..render.tone import encode_srgb
+from . import sense
+from .file_scene import load_scene, names_of
+from .job_scene import SceneJob, add_phase, phase_of
+from .limits import fits_views
+from .scene import ORDERS
+from .sections import LIGHT, SHARP, SOFT, light_of, soft, softness_of, views_of
+from .tables import Table
+from .targets import Carried, at_once, targets_of, windowed
+
+
+def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
+                     told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
+    """The scene of a parsed job. Raises InputError, naming the file and the key."""
+    job = Table(document, "", ("scene", "views", "render", "light", "phase"), str(path))
+    file = job.table("scene", ("path", "mips"))
+    source, mips = file.file("path", path.parent), file.flag("mips", True)
+    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
+    order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
+    linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
+    render = Table(job.get("render", {}), "render", (*SOFT, "background"), job.source)
+    background, common = render.numbers("background", 3, (0.0,) * 3, 0, 1), soft(render)
+    lights = [light_of(x) for x in job.tables("light", LIGHT)] if "light" in document else None
+    parts = file.checked(load_parts, source)
+    phases = [phase_of(t, names_of(parts)) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
+    if not phases:
+        raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
+    views = make_views()
+    first = np.cumsum([0, *(len(part.mesh.positions) for part in parts)])
+    whole = Mesh(np.concatenate([part.mesh.positions for part in parts]), np.concatenate([p.mesh.faces + k for p, k in zip(parts, first)]))
+    silhouettes = any(term.kind == "silhouette" for phase in phases for term in phase.terms)
+    views_table.checked(sense.check, whole, views, silhouettes, "", True)
+    views = views.linear() if linear else views
+    scene = file.checked(load_scene, source, views.cameras, parameters=sorted({key for phase in phases for key in phase.optimize}),
+                         lights=lights, mips=mips, background=background, encode=None if linear else encode_srgb)
+    scene.program.meta.update(linear_albedo=True, linear_images=linear)
+    targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
+    side = max(scene.width, scene.height)
+    for phase in phases:
+        softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
+        phase.table.checked(add_phase, scene, phase, softness, order, seed, targets, background)
+    one = windowed(order, len(views), scene.width, scene.height, carried.whole)
+    seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
+    scene.output("render", color=compose(seen.color, seen.alpha))
+    return SceneJob(scene, views.names, tuple(map(float, middle_of(whole.positions))), {}, targets,
+                    {"render.color": "render.view"} if one else {})
