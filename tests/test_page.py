@@ -258,6 +258,26 @@ def test_a_browser_draws_the_model_and_turns_it_with_the_mouse(ran):
 
 
 @with_browser
+def test_a_browser_lights_what_would_show_an_outline_alone(ran, tmp_path):
+    path = tmp_path / "grey.html"
+    with runtime.load(ran / "x.dressi") as session:
+        from dataclasses import replace
+
+        from dressi_edge.compiler.io.write_gltf import encode_gltf
+        from dressi_edge.compiler.scene.results import parts_now
+        part, = parts_now(session)
+        path.write_bytes(page({}, encode_gltf([replace(part, mesh=replace(part.mesh, colors=None, color_faces=None))], binary=True)))
+    with Browser() as browser:
+        browser.open(path.as_uri())
+        browser.until("window.dressi && dressi.viewer.drawn && dressi.viewer.mode === 1")
+        assert browser.run("document.querySelector('[aria-pressed=true]').textContent") == "clay"
+        browser.run("new Promise(requestAnimationFrame)")
+        picture = canvas(browser)
+        h, w = picture.shape[:2]
+        assert np.ptp(picture[h // 4:3 * h // 4, w // 2].sum(1)) > 60, "it is shaded"
+
+
+@with_browser
 def test_a_browser_shows_curves_stages_and_both_themes(ran):
     with Browser() as browser:
         browser.dark(False)

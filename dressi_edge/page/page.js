@@ -93,6 +93,7 @@ async function model(data, keep = false) {
   MODEL = data;
   if (!VIEW || !VIEW.gl) return;
   await VIEW.load(data, DATA.cameras, keep);
+  if (!keep && VIEW.plain) document.querySelector("[data-mode='1']").click();
   tint();
   document.getElementById("counts").textContent = `${many(VIEW.counts.faces, "triangle")}`;
 }

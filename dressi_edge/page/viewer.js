@@ -170,6 +170,7 @@ class Viewer {
     if (!keep || !this.offset) this.offset = scaled(add(low, high), 0.5); // all is drawn about it: fp32 has few digits far from the origin
     for (const piece of pieces) for (let i = 0; i < 3; i++) piece.matrix[12 + i] -= this.offset[i];
     const center = add(scaled(add(low, high), 0.5), this.offset, -1), radius = Math.max(Math.hypot(...add(high, low, -1)) / 2, 1e-9);
+    this.plain = pieces.every(p => p.unlit && !p.maps.base && !p.colored); // one colour without light shows an outline alone
     this.counts = {faces: pieces.reduce((n, p) => n + p.count / 3, 0), vertices: pieces.reduce((n, p) => n + p.vertices, 0)};
     if (!keep) this.frame(center, radius);
     this.drawFrusta(radius);
