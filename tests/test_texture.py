@@ -109,6 +109,30 @@ def test_every_channel_count_and_every_pixel_covered(gpu, channels):
     np.testing.assert_allclose(device, expected, atol=2e-5)
 
 
+@pytest.mark.parametrize("size", [(5, 3), (64, 64), (300, 7)], ids=str)
+@pytest.mark.parametrize("moving", [False, True])
+def test_sorting_the_covered_pixels_alone_gives_the_same_bits(gpu, monkeypatch, size, moving):
+    """What depends on coordinates is computed once, or, where they change every step, with the rest."""
+    found = []
+    for many in (1, 1 << 30):
+        monkeypatch.setattr("dressi_edge.compiler.graph.ops.texture_gradient.MANY", many)
+        s = Sampling(*size)
+        assert ("merge_listed" in {n.op.name for n in topological([s.gradient])}) == (many == 1)
+        if moving:
+            spec = s.program.plans[0]
+            s.program.plans[0] = type(spec)(**{**spec.__dict__, "dynamic": frozenset({"texture", "g", "uv", "covered"})})
+        with gpu.open(s.program) as session:
+            for kind in ("inside", "nothing", "outside", "one_texel"):  # fewer and more of them by turns
+                feed = values(s, kind)
+                for name, array in feed.items():
+                    session.set(name, s.program.values[name].layout.from_image(array))
+                found.append(session.get("gradient"))
+                np.testing.assert_allclose(found[-1], evaluate([s.gradient], feed)[0], atol=2e-3)
+    for a, b in zip(found[:4], found[4:]):
+        np.testing.assert_array_equal(a, b)
+    gpu.silent()
+
+
 def test_two_runs_give_the_same_bits(gpu):
     runs = []
     for _ in range(2):

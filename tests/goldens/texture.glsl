@@ -134,8 +134,9 @@ void main() {
 ivec2 pixel = ivec2(gl_FragCoord.xy);
 vec2 v0;
 { int lo_ = 0, hi_ = 9 * 7;
+    if ((pixel.y * 4 + pixel.x) >= E0(hi_ - 1).y) hi_ = 0;
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if (E0(m_).x <= (pixel.y * 4 + pixel.x)) lo_ = m_ + 1; else hi_ = m_; }
-    ivec2 r_ = E0(lo_ - 1);
+    ivec2 r_ = lo_ > 0 ? E0(lo_ - 1) : ivec2(0);
     v0 = vec2(0.0);
     if ((pixel.y * 4 + pixel.x) < r_.y) {
         int x_ = (lo_ - 1) % 9, y_ = (lo_ - 1) / 9, j_ = (pixel.y * 4 + pixel.x) - r_.x, corner_ = 0;

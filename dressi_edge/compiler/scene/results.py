@@ -14,7 +14,7 @@ import numpy as np
 
 from ...cache.errors import BundleError
 from ..io.cameras import inverse_rigid, rotation_matrix
-from ..io.images import linear_to_srgb
+from ..io.images import linear_to_srgb, to_bytes
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
 from ..io.panorama import write_hdr
@@ -193,7 +193,9 @@ def save_result(session, path: str | Path, lights: bool = False, cameras: bool =
 
 def sheet_rows(session, before, extra_rows=()) -> list[tuple[str, np.ndarray]]:
     """The rows of a contact sheet: those there are, of the first views."""
-    rows = (("before", before), ("after", snapshot(session, SHOWN)), ("target", targets(session, SHOWN)), *extra_rows)
+    after = [to_bytes(drawn(session, k)) for k in range(min(SHOWN, _views(session)))] or None  # one at a time as floats
+    target = [to_bytes(wanted(session, k)) for k in range(min(SHOWN, session.shape("targets")[0]))] if _has(session, "targets") else None
+    rows = (("before", before), ("after", after), ("target", target), *extra_rows)
     return [(label, images[:SHOWN]) for label, images in rows if images is not None]
 
 

@@ -1,6 +1,6 @@
 """The exact transpose of bilinear sampling: for each texel the sum of weight x gradient over its pixels, by gathers only.
 
-    uv, covered -> footprint -> keys -> merge sort -> bins -> rows, list -> gather of the gradient
+    uv, covered -> footprint -> list of those covered -> keys -> merge sort -> bins -> rows, list -> gather of the gradient
 
 The pixels are sorted by the texel at the lower corner of their footprint: a stable merge sort, one pass a doubling, whose cost
 does not depend on where the coordinates point. The four bins around a texel hold all of its pixels, and where its entries start
@@ -14,29 +14,41 @@ import numpy as np
 from ....cache.errors import GraphError
 from ..ir import Extent, Node, image, is_int, table
 from ..optable import Listed, Loop, apply, common_extent, empty, flag, op
+from .compact import compact
 from .lookup import constant
 from .texture import FETCHES, FOOTPRINT, TEXELS, WRAPS, _infer, _sample_ref, footprint
 
 LAST = 2 ** 31 - 1  # key of a pixel that samples nothing: sorted behind all others
 MAX_PIXELS = 1 << 24  # pixel numbers are kept as floats
+MANY = 1 << 14  # pixels from which those that sample nothing are not sorted: an object mostly fills a part of its pictures
 LANE = 16  # entries a lane sums where a texel has more on average
 
 
 def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> Node:
     """The gradient of a texture of `extent` sampled at `uv` where `covered`, from the gradient of the samples."""
     footprint = apply("texture_footprint", uv, covered, width=extent.width, height=extent.height, wrap=wrap)
-    ordered = sorted_keys(footprint, extent.width, footprint.extent.count)
-    bins = apply("texture_bins", ordered, extent=extent)
+    if footprint.extent.count >= MANY and covered.extent == footprint.extent:
+        listed = compact(apply("not_equal", covered, 0), 1)
+        ordered = _merged(apply("listed_keys", footprint, listed.entries, listed.total, width=extent.width), listed.total)
+        bins = apply("listed_bins", ordered, listed.total, extent=extent)
+    else:
+        ordered = sorted_keys(footprint, extent.width, footprint.extent.count)
+        bins = apply("texture_bins", ordered, extent=extent)
     rows = apply("texture_rows", bins)
     return gathered(g, rows, apply("texture_list", rows, bins, ordered, footprint), 4 * footprint.extent.count)
 
 
 def sorted_keys(footprint: Node, width: int, count: int) -> Node:
     """(texel, read) of the first `count` footprints, sorted by texel: the number of a lower corner in an image of this width."""
-    ordered = apply("texture_keys", footprint, width=width, count=count)
+    return _merged(apply("texture_keys", footprint, width=width, count=count))
+
+
+def _merged(ordered: Node, total: Node | None = None) -> Node:
+    """Sorted by the first channel. total: its last texel says how many there are."""
     run = 1
     while run < ordered.extent.width * ordered.extent.height:
-        ordered = apply("merge_runs", ordered, constant(np.array([[[run]]])))  # data, not text: all passes share one pipeline
+        each = constant(np.array([[[run]]]))  # data, not text: all passes share one pipeline
+        ordered = apply("merge_runs", ordered, each) if total is None else apply("merge_listed", ordered, each, total)
         run *= 2
     return ordered
 
@@ -178,6 +190,33 @@ op("texture_keys", "footprint", reads="texel", ref=_keys_ref, cost=30, infer=_ke
    doc="(lower texel, pixel) of each pixel as a table; texel 2^31 - 1 where nothing is sampled.")
 
 
+def _listed_keys_ref(footprint, entries, total, width):
+    out, pixels = np.zeros((entries.size, 2)), entries.reshape(-1)[:int(total.reshape(-1)[-1])]
+    f = footprint.reshape(-1, 4)[pixels]
+    out[:len(pixels)] = np.stack([f[:, 1] * width + f[:, 0], pixels], 1)
+    return out.reshape(*entries.shape[:2], 2)
+
+
+def _listed_keys_sample(rng):
+    covered = rng.integers(0, 2, (6, 5, 1))
+    pixels = np.flatnonzero(covered)
+    entries = np.full((8, 4, 1), -1)
+    entries.reshape(-1)[:len(pixels)] = pixels
+    return [_footprint_ref(rng.uniform(-1, 2, (6, 5, 2)), covered, 8, 3, "repeat"), entries, np.array([[[len(pixels)]]])], {"width": 8}
+
+
+op("listed_keys", "footprint entries total", reads="texel texel texel", ref=_listed_keys_ref, cost=30,
+   infer=lambda name, inputs, attrs: ("ivec2", inputs[1].extent),
+   glsl="""{y} = ivec2(0);
+    if ({i} < {total}(ivec2({total_w} - 1, {total_h} - 1))) {
+        int k_ = {entries_at}({i});
+        vec2 f_ = {footprint_at}(k_).xy;
+        {y} = ivec2(int(f_.y) * {width} + int(f_.x), k_);
+    }""",
+   sample=lambda rng: _listed_keys_sample(rng),
+   doc="texture_keys of the pixels of a list, as many as the last texel of `total` says, in its order.")
+
+
 def _merge_ref(a, run):
     flat, block = a.reshape(-1, 2), 2 * int(run[0, 0, 0])
     parts = [flat[k:k + block] for k in range(0, len(flat), block)]
@@ -196,8 +235,7 @@ def _merge_sample(rng):
 
 
 # Entry d of a merged pair of runs has `lo` of the first before it: the least for which the first's entry exceeds the second's.
-op("merge_runs", "a run", alone=True, infer=_merge_infer, reads="texel own", ref=_merge_ref, cost=200, sample=_merge_sample,
-   glsl="""{ int n_ = {a_w} * {a_h}, d_ = {i} & (2 * {run} - 1), first_ = {i} - d_, second_ = first_ + {run};
+_MERGE = """{ int n_ = {n}, d_ = {i} & (2 * {run} - 1), first_ = {i} - d_, second_ = first_ + {run};
     {y} = {a}({p});
     if (second_ < n_ && {a_at}(second_ - 1).x > {a_at}(second_).x) {
         int size_ = min({run}, n_ - second_), lo_ = max(d_ - size_, 0), hi_ = min(d_, {run});
@@ -207,8 +245,26 @@ op("merge_runs", "a run", alone=True, infer=_merge_infer, reads="texel own", ref
         }
         ivec2 u_ = {a_at}(first_ + min(lo_, {run} - 1)), v_ = {a_at}(second_ + min(d_ - lo_, size_ - 1));
         {y} = lo_ < {run} && (d_ - lo_ >= size_ || u_.x <= v_.x) ? u_ : v_;
-    } }""",
+    } }"""
+_TOTAL = "{total}(ivec2({total_w} - 1, {total_h} - 1))"
+
+
+def _merge_listed_ref(a, run, total):
+    out, count = a.copy(), int(total.reshape(-1)[-1])
+    if count:
+        out.reshape(-1, 2)[:count] = _merge_ref(a.reshape(-1, 2)[:count], run)
+    return out
+
+
+op("merge_runs", "a run", alone=True, infer=_merge_infer, reads="texel own", ref=_merge_ref, cost=200, sample=_merge_sample,
+   glsl=_MERGE.replace("{n}", "{a_w} * {a_h}"),
    doc="Stable merge of neighbouring runs of `run` entries (a power of two), each sorted by the first channel.")
+
+
+op("merge_listed", "a run total", alone=True, infer=_merge_infer, reads="texel own texel", ref=_merge_listed_ref, cost=200,
+   glsl=_MERGE.replace("{n}", _TOTAL).replace("if (second_", "if ({i} < n_ && second_", 1),
+   sample=lambda rng: ([*_merge_sample(rng)[0], np.array([[[17]]])], {}),
+   doc="merge_runs of as many entries as the last texel of `total` says.")
 
 
 # ---- from sorted pixels to a list by texel
@@ -227,14 +283,19 @@ def _ordered(rng, width=8, height=3):
     return footprint, ordered, bins, rows, _list_ref(rows, bins, ordered, footprint)
 
 
-op("texture_bins", "ordered", alone=True, infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel", ref=_bins_ref,
-   cost=200,
-   glsl="""{ int n_ = {ordered_w} * {ordered_h}, lo_ = 0, hi_ = n_, step_ = 1;
+_BINS = """{ int n_ = {n}, lo_ = 0, hi_ = n_, step_ = 1;
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if ({ordered_at}(m_).x < {i}) lo_ = m_ + 1; else hi_ = m_; }
     {y} = ivec2(lo_);
     while (hi_ < n_ && {ordered_at}(hi_).x == {i}) { lo_ = hi_ + 1; hi_ = min(lo_ + step_, n_); step_ *= 2; }
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if ({ordered_at}(m_).x == {i}) lo_ = m_ + 1; else hi_ = m_; }
-    {y}.y = lo_; }""",
+    {y}.y = lo_; }"""
+op("listed_bins", "ordered total", alone=True, infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel texel", cost=200,
+   ref=lambda ordered, total, extent: _bins_ref(ordered.reshape(-1, 2)[:int(total.reshape(-1)[-1])], extent),
+   glsl=_BINS.replace("{n}", _TOTAL), sample=lambda rng: ([_ordered(rng)[1], np.array([[[9]]])], {"extent": image(8, 3)}),
+   doc="texture_bins of as many sorted pixels as the last texel of `total` says.")
+op("texture_bins", "ordered", alone=True, infer=lambda name, inputs, attrs: ("ivec2", attrs["extent"]), reads="texel", ref=_bins_ref,
+   cost=200,
+   glsl=_BINS.replace("{n}", "{ordered_w} * {ordered_h}"),
    sample=lambda rng: ([_ordered(rng)[1]], {"extent": image(8, 3)}),
    doc="Begin and end of each texel's pixels among the sorted ones.")
 
@@ -291,8 +352,9 @@ def _list_infer(name, inputs, attrs):
 
 op("texture_list", "rows bins ordered footprint", alone=True, reads="texel texel texel texel", ref=_list_ref, cost=300, infer=_list_infer,
    glsl="""{ int lo_ = 0, hi_ = {rows_w} * {rows_h};
+    if ({i} >= {rows_at}(hi_ - 1).y) hi_ = 0;
     while (lo_ < hi_) { int m_ = (lo_ + hi_) >> 1; if ({rows_at}(m_).x <= {i}) lo_ = m_ + 1; else hi_ = m_; }
-    ivec2 r_ = {rows_at}(lo_ - 1);
+    ivec2 r_ = lo_ > 0 ? {rows_at}(lo_ - 1) : ivec2(0);
     {y} = vec2(0.0);
     if ({i} < r_.y) {
         int x_ = (lo_ - 1) % {rows_w}, y_ = (lo_ - 1) / {rows_w}, j_ = {i} - r_.x, corner_ = 0;
