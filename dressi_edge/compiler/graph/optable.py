@@ -140,7 +140,7 @@ class Op:
     when: tuple[When, ...] = ()  # what single inputs make of the result
     chooses: bool = False  # the result is input 1 where input 0 is not zero, else input 2
     part: bool = False  # the result is some channels of its only input
-    alone: bool = False  # shares no shader with another such one: drivers take minutes to compile several, as of sorts
+    alone: bool = False  # shares a shader with few other such ones: drivers take minutes to compile many, as of sorts
     keeps: bool = False  # where it rests it is in an image of its own, from which what is cheap is computed again
     held: bool = False  # a leaf that the session holds by name: an input or a state
     listed: Callable | None = None  # of a node: `Listed`

@@ -142,7 +142,7 @@ class _Use:
         """Whether x, one of the outputs, is of use only where something is named by an image that names nothing where the guard is zero
         (`Op.named`, `Op.covers`)."""
         values = self.known.where_zero(guard.node, extent)
-        named = {n: int(value[0]) for n, value in values.items() if value.size == 1}
+        named = {n: number(n, value) for n, value in values.items()}
         if guard.node.op.covers:
             covered, value = guard.node.op.covers
             named[guard.node.inputs[covered]] = value

@@ -16,6 +16,7 @@ from .pressure import peak
 from .substage import Substage, edges, excess, excess_of, is_alone, substage
 
 SPLIT_COST = 50  # work without loops that each part of a split substage may do again
+HARD = 3  # steps of a sort in one shader; of eight LLVM makes nothing in ten minutes
 PASS_COST = 100_000  # work over all texels that is worth a pass of its own
 
 
@@ -43,8 +44,8 @@ def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile) ->
 
 
 def overloaded(nodes: Sequence[Node]) -> bool:
-    """Whether a substage has several functions each of which wants a shader to itself."""
-    return sum(n.op.alone for n in nodes) > 1
+    """Whether a substage has more of the functions that are hard on drivers than they compile in a moment."""
+    return sum(n.op.alone for n in nodes) > HARD
 
 
 def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:
