@@ -82,8 +82,8 @@ def test_what_is_read_only_where_something_is_named_is_not_cleared(gpu, read, cl
     guarded = [stage for stage in description["plans"][0]["stages"] if stage["width"] == 32]
     loads = [a["load"] for stage in guarded for a in description["passes"][stage["pass"]]["attachments"]]
     assert loads.count(v.LOAD_CLEAR) == cleared and loads.count(v.LOAD_DONT_CARE) == 1
-    found = gpu.run(program, feed)
     images = {name: program.values[name].layout.to_image(x, name) for name, x in feed.items()}
+    found = gpu.run(program, images)
     for name, want in zip(read, evaluate([outputs[name][0] for name in read], images)):
         np.testing.assert_allclose(found[name], outputs[name][1].from_image(want), rtol=1e-5, atol=1e-5)
 
