@@ -91,6 +91,18 @@ def run(module, folder, *arguments) -> dict:
     return document
 
 
+@pytest.mark.full
+def test_real_photographs_quick(tmp_path):
+    """On a painted ring: from its hull, it has its hole from the start, and colours and gains are fitted together."""
+    import real
+    report = run(real, tmp_path, "oxford")
+    cases = {row["case"]: row for row in report["results"]}
+    assert set(cases) == {f"oxford {k}" for k in ("hull", "hull: shape", "hull: texture", "joint", "sphere: shape", "sphere: texture")}
+    assert cases["oxford joint"]["genus"] == 1 and cases["oxford sphere: shape"]["genus"] == 0
+    assert cases["oxford joint"]["iou"] > cases["oxford sphere: shape"]["iou"] and len(cases["oxford joint"]["gains"]) == 3
+    assert (tmp_path / "contact.png").stat().st_size > 1000 and (tmp_path / "mesh.glb").exists()
+
+
 def test_sphere_to_spot_quick(tmp_path):
     document = run(sphere_to_spot, tmp_path)
     assert [row["case"] for row in document["results"]] == ["same", "hard"]
