@@ -9,7 +9,8 @@ ours      the phase: drawing, losses, gradients and Adam in the bundle, each ste
 vjp       the pictures and their gradients alone: vertices in, silhouettes out, gradients in, gradients out
 numpy     the same with losses and Adam written in NumPy
 torch     dressi_edge.torch.Render with losses in PyTorch and its Adam
-torch Adam  the losses in the scene, gradients by Render.accumulate, PyTorch's Adam
+torch Adam       the losses in the scene, gradients by Render.accumulate, PyTorch's Adam
+torch functions  silhouettes by the rasterize and antialias of dressi_edge.primitives (which blend over one pixel), the rest in PyTorch
 jax       dressi_edge.jax.function in a jitted step with losses and Adam in JAX
 cpu       processor time, all threads together; ratios are of it, by rounds in which all take their turn
 after     the loss after so many steps, of each: they walk the same way
@@ -67,7 +68,7 @@ class Case:
         s.vjp("whole", ["vertices"], loss=l2(alpha, masks) + WEIGHT * uniform_laplacian(x, part.topology))
         self.path, self.topology = folder / "fit.dressi", part.topology
         s.compile(options.profile, self.path)
-        self.where = options.device
+        self.where, self.views = options.device, views
 
     def open(self):
         return runtime.load(self.path, self.where)
@@ -186,6 +187,45 @@ class TorchAdam:
         self.optimizer.step()
 
 
+class Functions:
+    """Silhouettes by rasterize and antialias of dressi_edge.primitives, losses and Adam in PyTorch."""
+
+    def __init__(self, case: Case, session):
+        import torch
+
+        import dressi_edge.primitives.torch as dr
+        torch.set_num_threads(1)
+        self.dr, self.context = dr, dr.Context(case.where, output_db=False)
+        self.masks = torch.from_numpy(case.masks)[..., None].flip(1)
+        rows = []
+        for c in case.views:
+            to_clip = np.array([[2 * c.fx / c.width, 0, 1 - 2 * c.cx / c.width, 0], [0, 2 * c.fy / c.height, 2 * c.cy / c.height - 1, 0],
+                                [0, 0, -(c.far + c.near) / (c.far - c.near), -2 * c.far * c.near / (c.far - c.near)], [0, 0, -1, 0]])
+            rows.append((to_clip @ c.world_to_camera).T)
+        self.matrices, self.tri = torch.tensor(np.array(rows), dtype=torch.float32), torch.tensor(np.array(case.ball.faces, np.int32))
+        self.vertices = torch.tensor(case.ball.positions, dtype=torch.float32, requires_grad=True)
+        self.near, self.real, self.inverse = map(torch.from_numpy, case.neighbours)
+        self.optimizer = torch.optim.Adam([self.vertices], RATE, BETAS, EPSILON)
+
+    def values(self):
+        import torch
+        x, dr = self.vertices, self.dr
+        pos = torch.nn.functional.pad(x, (0, 1), value=1.0) @ self.matrices
+        with torch.no_grad():
+            rast, _ = dr.rasterize(self.context, pos, self.tri, self.masks.shape[1:3])
+        alpha = dr.antialias((rast[..., 3:] > 0).float(), rast, pos, self.tri)
+        d = x - (x[self.near] * self.real[..., None]).sum(1) * self.inverse[:, None]
+        return (alpha - self.masks).square().mean() + WEIGHT * d.norm(dim=1).mean()
+
+    def loss(self) -> float:
+        return float(self.values().detach())
+
+    def step(self) -> None:
+        self.optimizer.zero_grad()
+        self.values().backward()
+        self.optimizer.step()
+
+
 class Jax:
     def __init__(self, case: Case, session):
         import jax
@@ -218,7 +258,8 @@ class Jax:
         self.state[0].block_until_ready()
 
 
-LOOPS = {"ours": Ours, "vjp": Vjp, "numpy": Numpy, "torch": Torch, "torch Adam": TorchAdam, "jax": Jax}
+LOOPS = {"ours": Ours, "vjp": Vjp, "numpy": Numpy, "torch": Torch, "torch Adam": TorchAdam,
+         "torch functions": Functions, "jax": Jax}
 
 
 def versions() -> dict:
@@ -263,10 +304,10 @@ def main(arguments: list[str] | None = None) -> list[dict]:
         results.append({"case": name, **meter.row, "ratio": rounded(statistics.median(ratios)),
                         "wall_ratio": rounded(statistics.median(walls)), "loss_after": after[name]})
         row = results[-1]
-        print(f"{name:10s} {row['ms']:8.2f} ms {row['cpu_ms']:8.2f} ms cpu  {row['ratio']:5.2f} x cpu {row['wall_ratio']:5.2f} x wall  "
+        print(f"{name:16s} {row['ms']:8.2f} ms {row['cpu_ms']:8.2f} ms cpu  {row['ratio']:5.2f} x cpu {row['wall_ratio']:5.2f} x wall  "
               f"loss after {COMPARED}: {row['loss_after']}")
     for name in set(INSTALLED) - set(names):
-        print(f"{name:10s} is not installed: left out")
+        print(f"{name:16s} is not installed: left out")
     if options.json:
         load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
         options.json.write_text(json.dumps({"device": case.device, "versions": versions(), "load": load, "size": options.size,

@@ -13,9 +13,11 @@ from conftest import SHARED
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import asset_normals
 import error_vs_time
 import geometry
 import metrics
+import mips
 import reconstruct
 import sphere_to_spot
 import storage
@@ -87,6 +89,18 @@ def run(module, folder, *arguments) -> dict:
     assert {"device", "versions", "results"} <= document.keys()
     assert all({"case", "ms"} <= row.keys() for row in document["results"])
     return document
+
+
+@pytest.mark.full
+def test_real_photographs_quick(tmp_path):
+    """On a painted ring: from its hull, it has its hole from the start, and colours and gains are fitted together."""
+    import real
+    report = run(real, tmp_path, "oxford")
+    cases = {row["case"]: row for row in report["results"]}
+    assert set(cases) == {f"oxford {k}" for k in ("hull", "hull: shape", "hull: texture", "joint", "sphere: shape", "sphere: texture")}
+    assert cases["oxford joint"]["genus"] == 1 and cases["oxford sphere: shape"]["genus"] == 0
+    assert cases["oxford joint"]["iou"] > cases["oxford sphere: shape"]["iou"] and len(cases["oxford joint"]["gains"]) == 3
+    assert (tmp_path / "contact.png").stat().st_size > 1000 and (tmp_path / "mesh.glb").exists()
 
 
 def test_sphere_to_spot_quick(tmp_path):
@@ -161,6 +175,22 @@ def test_reconstruction_quick(tmp_path, name, cases):
 @pytest.mark.parametrize("name, cases", [("spot", SPOT), ("bunny", BUNNY)])
 def test_reconstruction_of_photographs_quick(tmp_path, shared_dir, name, cases):
     check(run(reconstruct, tmp_path, name, "--data", shared_dir), cases)
+
+
+@pytest.mark.full
+def test_mips_quick(tmp_path):
+    """Less than half the error, and all ways of stepping."""
+    mips.main(["--quick", "--json", str(tmp_path / "out.json"), "--data", str(tmp_path)])
+    rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
+    assert rows["plane"]["ratio"] > 2 and rows["ball"]["ratio"] > 1.5
+    assert {"texture 64, bilinear", "texture 64, dense", "texture 64, mips"} <= rows.keys()
+
+
+@pytest.mark.full
+def test_asset_normals_quick(tmp_path, shared_dir):
+    asset_normals.main(["--quick", "--json", str(tmp_path / "out.json"), "--data", str(shared_dir)])
+    row, = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert row["psnr_after"] > row["psnr_before"]
 
 
 def test_missing_data_is_one_line(tmp_path):

@@ -50,12 +50,12 @@ def dispatched(made):
 def test_what_is_dispatched_has_the_bits_of_what_is_drawn(gpu, name):
     """Loops, prepared parts, draws between dispatches, tiles, lists, copies given back in place, 16 bits a channel, a filter."""
     program, steps = make_vectors.VECTORS[name]()
-    options = {"storage": "float"} | make_vectors.OPTIONS.get(name, {})
-    drawn = build(program, LAVAPIPE, Options(**options))
+    options, profile = {"storage": "float"} | make_vectors.OPTIONS.get(name, {}), gpu.at_hand(LAVAPIPE)
+    drawn = build(program, profile, Options(**options))
     wanted = bits(done(drawn, steps, gpu))
     assert "computes" not in drawn.description
     for kind in ("pixel", "all"):
-        made = build(program, LAVAPIPE, Options(**options, compute=kind))
+        made = build(program, profile, Options(**options, compute=kind))
         assert sum(n for n, _ in dispatched(made).values()) > 0
         assert bits(done(made, steps, gpu)) == wanted, kind
     gpu.silent()
@@ -67,7 +67,7 @@ def test_a_fit_comes_to_the_same_bits(gpu, tmp_path, scene, layers):
     found = {}
     for kind in ("none", "all"):
         path = tmp_path / f"{kind}.dressi"
-        d = compile_program(matrix.problem(scene, layers), LAVAPIPE, path, compute=kind)
+        d = compile_program(matrix.problem(scene, layers), gpu.at_hand(LAVAPIPE), path, compute=kind)
         with runtime.load(path, gpu.device) as session:
             losses, color = matrix.fitted(session)
             found[kind] = losses, color.tobytes()

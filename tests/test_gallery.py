@@ -20,6 +20,7 @@ SMALL = {  # what is given to main(), and what its numbers must say
     "own_optimizer": ({"size": 48, "steps": 100}, lambda r: r["rmsprop"] < r["start"] / 50 and r["adam"] < r["start"] / 50),
     "own_op": ({"size": 48, "steps": 120}, lambda r: abs(r["end"]["height"] - 0.25) < 0.01 and abs(r["end"]["width"] - 0.2) < 0.02),
     "forward": ({"size": 96, "views": 4}, lambda r: 0.2 < r["covered"] < 0.6 and 1.5 < r["nearest"] < r["furthest"] < 3.0),
+    "lbfgs": ({"size": 48, "steps": 60}, lambda r: r["start"]["degrees"] > 50 and r["end"]["degrees"] < 6 and r["end"]["colors"] < 0.12),
     "numpy_loop": ({"size": 48, "steps": 40}, lambda r: r["end"] < r["start"] / 500),
 }
 

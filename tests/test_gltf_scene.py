@@ -14,7 +14,7 @@ from conftest import SHARED
 from gltf_files import CORNER_UVS, SQUARE, TWO, GltfFile, checker
 from jobs import write_job
 
-from dressi_edge import runtime
+from dressi_edge import cli, runtime
 from dressi_edge.cache.errors import InputError, InputWarning
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.gltf_cameras import gltf_cameras
@@ -252,6 +252,19 @@ def test_a_job_s_lights_are_in_place_of_the_file_s(tmp_path):
 def test_jobs_of_files_that_are_wrong_are_named(tmp_path, change, message):
     with pytest.raises(InputError, match=message):
         parse_job({**job(tmp_path), **change}, tmp_path / "job.toml")
+
+
+def test_run_writes_lights_and_cameras_where_it_is_asked_to(gpu, tmp_path, capsys):
+    found = parse_job(job(tmp_path), tmp_path / "job.toml")
+    found.compile("lavapipe", tmp_path / "a.dressi")
+    for more, lights, cameras in (([], 0, 0), (["--scene"], 1, 2)):
+        assert cli.main(["run", str(tmp_path / "a.dressi"), "-o", str(tmp_path / "out.glb"), "--steps", "1", *more]) == 0
+        d = document(tmp_path / "out.glb")
+        assert len(d.get("extensions", {}).get("KHR_lights_punctual", {"lights": []})["lights"]) == lights
+        assert len(d.get("cameras", [])) == cameras
+    capsys.readouterr()
+    assert cli.main(["run", str(tmp_path / "a.dressi"), "-o", str(tmp_path / "out.ply"), "--scene"]) == 3
+    assert "--scene writes lights and cameras into glTF" in capsys.readouterr().err
 
 
 # Results out

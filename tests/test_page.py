@@ -271,6 +271,16 @@ def test_a_browser_lights_what_would_show_an_outline_alone(ran, tmp_path):
         browser.open(path.as_uri())
         browser.until("window.dressi && dressi.viewer.drawn && dressi.viewer.mode === 1")
         assert browser.run("document.querySelector('[aria-pressed=true]').textContent") == "clay"
+        texture = np.full((8, 8, 3), 0.5)
+        flat = {"colors": None, "color_faces": None, "uvs": np.zeros((1, 2)), "uv_faces": np.zeros_like(part.mesh.faces)}
+        for end, mode in ((0.5, 1), (0.9, 0)):
+            texture[0] = end
+            mesh = replace(part.mesh, **flat, texture=texture.copy())
+            (tmp_path / "t.html").write_bytes(page({}, encode_gltf([replace(part, mesh=mesh)], binary=True)))
+            browser.open((tmp_path / "t.html").as_uri())
+            browser.until(f"window.dressi && dressi.viewer.drawn && dressi.viewer.mode === {mode} && dressi.viewer.counts")
+        browser.open(path.as_uri())
+        browser.until("window.dressi && dressi.viewer.drawn && dressi.viewer.mode === 1")
         browser.run("new Promise(requestAnimationFrame)")
         picture = canvas(browser)
         h, w = picture.shape[:2]

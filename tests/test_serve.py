@@ -95,6 +95,7 @@ def test_it_tells_how_it_goes(served):
     while news()["data"]["phases"][0]["steps"] <= first["data"]["phases"][0]["steps"] or news()["model"] <= first["model"]:
         assert time.monotonic() - start < 60
         time.sleep(0.2)
+    assert news()["data"]["views"]["iou_mean"] > 0.5, "of how it is now"
     code, headers, body = served.ask("/")
     assert code == 200 and b"x.dressi" in body and headers["Cache-Control"] == "no-store" and "Access-Control-Allow-Origin" not in headers
     assert "connect-src 'self'" in headers["Content-Security-Policy"] and headers["Referrer-Policy"] == "no-referrer"

@@ -26,11 +26,11 @@ def test_a_record_has_ours_and_the_drivers_own_numbers():
     assert record["spills"] == 3 and record["executables"][0]["told"]["Hash"] == 7 and set(NAMES) <= set(record)
 
 
-@pytest.mark.parametrize("name", ["silhouette", "copies", "subpasses"])
+@pytest.mark.parametrize("name", ["silhouette", "copies", "subpasses", "dispatched", "shared"])
 def test_every_pipeline_is_compiled_and_placed(gpu, name):
     taken = bundle.read(FOLDER / f"{name}.dressi").variants[0]
     made = compiled(gpu.device, taken)
-    assert len(made) == len(taken.description["pipelines"]) and all(one.ms > 0 for one in made)
+    assert len(made) == len(taken.description["pipelines"]) + len(taken.description.get("computes", ())) and all(one.ms > 0 for one in made)
     assert [one.place for one in made] == [places(taken.description).get(k) for k in range(len(made))]
     assert {one.place.plan for one in made} <= {plan["name"] for plan in taken.description["plans"]}
     gpu.silent()

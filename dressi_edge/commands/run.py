@@ -246,7 +246,7 @@ def _save_states(session, path: str) -> None:
     meta, key = session.bundle.description["meta"], "points"
     try:
         for name in meta.get("points", ()):
-            arrays[name] = arrays[name] + np.array(meta["origin"], np.float64).reshape(3)
+            arrays[name] = arrays[name] * float(meta.get("scale", 1.0)) + np.array(meta["origin"], np.float64).reshape(3)
         if (entry := meta.get(key := "vertex_map")) is not None:
             arrays.setdefault("vertex_map", np.frombuffer(entry["data"], "<i4"))
     except (KeyError, TypeError, ValueError) as error:

@@ -32,7 +32,7 @@ class Live:
         self.courses: Mapping[str, Course] = {}
         self.start: dict = {}  # of the page: what does not change
         self.model, self.pictures, self.version = b"", b"[]", 0
-        self.subtitle, self.left, self.over = "", {}, ""
+        self.subtitle, self.left, self.views, self.over = "", {}, {}, ""
         self._asked, self._seen, self._polled = set(), threading.Event(), -1e9
         self.keep = None  # called when a checkpoint is asked for
         try:
@@ -74,6 +74,7 @@ class Live:
         """Model and pictures as they are now."""
         self.model = result.model(session) or b""
         self.pictures = json.dumps(result.pictures(session, self.before)).encode()
+        self.views = result.results.plain(result.results.measured(session))
         self.version += 1
 
     def news(self) -> dict:
@@ -84,7 +85,7 @@ class Live:
             self._seen.set()
         courses = list(self.courses.values())
         data = {"phases": [{"name": c.phase, "of": c.steps, "seconds_left": self.left.get(c.phase), **c.record()} for c in courses],
-                "curves": result.curves(courses), "subtitle": over or self.subtitle}
+                "views": self.views, "curves": result.curves(courses), "subtitle": over or self.subtitle}
         return {"data": result.results.plain(data), "model": self.version if self.model else 0, "pictures": self.version,
                 "begun": bool(self.start), "over": bool(over)}
 

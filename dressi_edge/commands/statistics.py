@@ -6,14 +6,15 @@ VK_KHR_pipeline_executable_properties, each with names of its own; NAMES says wh
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..cache import vulkan as v
 from ..cache.errors import DeviceError
-from ..cache.summary import image_bytes
+from ..cache.summary import image_bytes, size
 from ..runtime import vk
-from ..runtime.pipelines import Pipelines
+from ..runtime.pipelines import Compute, Pipelines
 
 # Ours -> the drivers' (RADV, Turnip, Honeykrisp, NVK, PanVK, V3DV, PowerVR), those of one driver added up.
 NAMES = {
@@ -27,7 +28,8 @@ LEAST = ("waves",)  # of several executables the least counts, of everything els
 
 
 class Place(NamedTuple):
-    """The first draw of a pipeline: plan, number of the stage and of the substage in it, size, vertices, pixels of its cells."""
+    """The first draw of a pipeline: plan, number of the stage and of the substage in it, size, vertices, pixels of its cells. Of one of
+    compute the first dispatch: size and pixels are those of the first image that it writes, and it has no vertices."""
 
     plan: str
     stage: int
@@ -64,11 +66,15 @@ class Compiled:
 
 
 def places(d: dict) -> dict[int, Place]:
-    """Pipeline number -> the first draw of it."""
+    """Pipeline number -> the first draw of it; those of compute are counted on from the others."""
     found: dict[int, Place] = {}
     for plan in d["plans"]:
         for k, stage in enumerate(plan["stages"]):
-            for j, draws in enumerate(stage.get("subpasses", ())):
+            if "compute" in stage:
+                width, height = size(d, stage)
+                found.setdefault(len(d["pipelines"]) + stage["compute"], Place(plan["name"], k, 0, width, height, 0, width * height))
+                continue
+            for j, draws in enumerate(stage["subpasses"]):
                 for draw in draws:
                     pixels = sum(cell[2] * cell[3] for cell in draw["cells"])
                     found.setdefault(draw["pipeline"], Place(plan["name"], k, j, stage["width"], stage["height"], draw["vertices"], pixels))
@@ -76,12 +82,21 @@ def places(d: dict) -> dict[int, Place]:
 
 
 class _Timed(Pipelines):
-    """Pipelines, and how long each took."""
+    """Pipelines, those of compute after the others, and how long each took."""
+
+    def __init__(self, *arguments):
+        self.ms: list[float] = []
+        super().__init__(*arguments)
 
     def _pipeline(self, p: dict, layout: int, cache: int) -> int:
-        self.ms = getattr(self, "ms", [])
+        return self._timed(super()._pipeline, p, layout, cache)
+
+    def _compute(self, c: dict, cache: int) -> Compute:
+        return self._timed(super()._compute, c, cache)
+
+    def _timed(self, make: Callable, *arguments):
         start = time.perf_counter()
-        made = super()._pipeline(p, layout, cache)
+        made = make(*arguments)
         self.ms.append((time.perf_counter() - start) * 1e3)
         return made
 
@@ -93,7 +108,7 @@ def compiled(device, bundle) -> list[Compiled]:
     made = _Timed(device, bundle, _depth_format(device, bundle.description))
     try:
         return [Compiled(where.get(k), ms, _executables(device, pipeline))
-                for k, (pipeline, ms) in enumerate(zip(made.pipelines, made.ms))]
+                for k, (pipeline, ms) in enumerate(zip((*made.pipelines, *(c.pipeline for c in made.computes)), made.ms, strict=True))]
     finally:
         made.close()
 

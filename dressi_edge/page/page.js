@@ -66,9 +66,8 @@ function viewer() {
   if (!text && !DATA.live) return null;
   const canvas = h("canvas", {tabindex: 0, "aria-label": "The result in 3D. Drag to turn, shift-drag to move, click and scroll to zoom; arrow keys, + and - work too."});
   const counts = h("span.soft.small.right", {id: "counts"});
-  const buttons = ["as it is", "clay", "normals"].map((name, k) => h("button", {"aria-pressed": String(k === 0), "data-mode": k, onclick: e => {
-    VIEW.mode = k; VIEW.draw(); buttons.forEach(b => b.setAttribute("aria-pressed", b === e.target));
-  }}, name));
+  const buttons = ["as it is", "clay", "normals"].map((name, k) => h("button", {"aria-pressed": String(k === 0), "data-mode": k,
+    onclick: () => { CHOSEN = true; mode(k); }}, name));
   const toggle = (name, key) => h("button", {"aria-pressed": "false", "data-toggle": key, onclick: e => {
     VIEW[key] = !VIEW[key]; e.target.setAttribute("aria-pressed", VIEW[key]); VIEW.draw();
   }}, name);
@@ -87,13 +86,17 @@ function viewer() {
   return box;
 }
 
-let MODEL = null;
+let MODEL = null, CHOSEN = false; // whether somebody has chosen how to look at it
+function mode(k) {
+  VIEW.mode = k; VIEW.draw();
+  document.querySelectorAll("[data-mode]").forEach(b => b.setAttribute("aria-pressed", String(b.dataset.mode === String(k))));
+}
 function decoded(text) { return Uint8Array.from(atob(text), c => c.charCodeAt(0)); }
 async function model(data, keep = false) {
   MODEL = data;
   if (!VIEW || !VIEW.gl) return;
   await VIEW.load(data, DATA.cameras, keep);
-  if (!keep && VIEW.plain) document.querySelector("[data-mode='1']").click();
+  if (!CHOSEN) mode(VIEW.plain ? 1 : 0);
   tint();
   document.getElementById("counts").textContent = `${many(VIEW.counts.faces, "triangle")}`;
 }

@@ -170,7 +170,7 @@ class Viewer {
     if (!keep || !this.offset) this.offset = scaled(add(low, high), 0.5); // all is drawn about it: fp32 has few digits far from the origin
     for (const piece of pieces) for (let i = 0; i < 3; i++) piece.matrix[12 + i] -= this.offset[i];
     const center = add(scaled(add(low, high), 0.5), this.offset, -1), radius = Math.max(Math.hypot(...add(high, low, -1)) / 2, 1e-9);
-    this.plain = pieces.every(p => p.unlit && !p.maps.base && !p.colored); // one colour without light shows an outline alone
+    this.plain = pieces.every(p => p.unlit && !p.colored && (!p.maps.base || p.maps.base.texture.even)); // without light an outline alone
     this.counts = {faces: pieces.reduce((n, p) => n + p.count / 3, 0), vertices: pieces.reduce((n, p) => n + p.vertices, 0)};
     if (!keep) this.frame(center, radius);
     this.drawFrusta(radius);
@@ -223,7 +223,13 @@ class Viewer {
     const gl = this.gl, image = glb.json.images[record.source], sampler = (glb.json.samplers || [])[record.sampler] || {};
     const bitmap = await createImageBitmap(new Blob([glb.view(image.bufferView)], {type: image.mimeType}),
       {premultiplyAlpha: "none", colorSpaceConversion: "none"});
-    const texture = gl.createTexture();
+    const texture = gl.createTexture(), small = new OffscreenCanvas(16, 16).getContext("2d", {willReadFrequently: true});
+    small.drawImage(bitmap, 0, 0, 16, 16);
+    const seen = small.getImageData(0, 0, 16, 16).data; // 1024 numbers, four of a texel
+    texture.even = [0, 1, 2].every(c => {
+      const x = seen.filter((_, k) => k % 4 === c);
+      return Math.max(...x) - Math.min(...x) < 4;
+    });
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texImage2D(gl.TEXTURE_2D, 0, color ? gl.SRGB8_ALPHA8 : gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
     gl.generateMipmap(gl.TEXTURE_2D);

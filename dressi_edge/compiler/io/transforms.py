@@ -42,7 +42,7 @@ HARMLESS = ("aabb_scale", "aabb", "render_aabb", "render_aabb_to_local", "scale"
             "has_mask", "enable_depth_loading", "enable_ray_loading", "integer_depth_scale", "depth_unit_scale_factor", "depth_path",
             "depth_file_path", "normal_file_path", "n_extra_learnable_dims", "sharpness_discard_threshold", "sharpness", "rotation",
             "colmap_im_id", "colmap_image_id", "image_id", "camera_id", "cam_idx", "frame_id", "timestamp", "time", "exposure",
-            "is_bad", "label", "name", "comment", "version", "date")
+            "is_bad", "label", "name", "source", "comment", "version", "date")
 SETTINGS = (*LENS, *MASKS, "fix_premult", *DISTORTION, *MODELS, "camera_model", "is_fisheye", *REFUSED, *HARMLESS)
 
 

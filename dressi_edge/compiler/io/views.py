@@ -16,23 +16,26 @@ from ...cache.errors import InputError
 from .averaging import downsampled
 from .cameras import Camera
 from .decode import OWN, Masks, fitted, load_images
+from .formats import Cameras, read_cameras
 from .gltf_cameras import gltf_cameras
 from .pictures import Mask, Pictures, as_floats
 from .shots import developed
 from .text import shown
 from .transforms import read_transforms
+from .unit import Unit
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
     """N views. images: (N, h, w, 4) float32 in [0, 1], as stored: colour is sRGB encoded and straight (not multiplied by alpha), alpha is
     coverage and the mask; an array, or `Pictures` in files that are as good as one. cameras and names: one each. Where pictures have
-    different sizes h and w are the largest of all, and each is the upper left corner of its image, of its camera's size. Raises InputError
-    for anything else."""
+    different sizes h and w are the largest of all, and each is the upper left corner of its image, of its camera's size. unit: the frame
+    that the cameras are in, if it is not the input's; results are given back in the input's. Raises InputError for anything else."""
 
     images: np.ndarray | Pictures
     cameras: tuple[Camera, ...]
     names: tuple[str, ...]
+    unit: Unit | None = None
 
     def __post_init__(self) -> None:
         images = self.images if isinstance(self.images, Pictures) else np.asarray(self.images)
@@ -71,6 +74,13 @@ class Views:
         camera = self.cameras[view]
         return self.images[view][:camera.height, :camera.width]
 
+    def within(self, unit: Unit) -> Views:
+        """The same in another frame, given in that of these."""
+        if self.unit is not None:
+            outer = Unit(self.unit.origin + self.unit.scale * unit.origin, self.unit.scale * unit.scale)
+            return replace(self, cameras=unit.cameras(self.cameras), unit=outer)
+        return replace(self, cameras=unit.cameras(self.cameras), unit=unit)
+
     def linear(self) -> Views:
         """The same with linear light for colour."""
         images = self.images
@@ -100,6 +110,35 @@ def load_views(path: str | Path, size: tuple[int, int] | int | None = None, near
     are read. masks: where the object is in the pictures. skip: without frames whose picture does not exist.
     """
     return Views(*developed(read_transforms(path, skip), size, near, far, fits, told, masks))
+
+
+def load_photographs(path: str | Path, images: str | Path | None = None, skip: bool = False, **settings) -> Views:
+    """Views by cameras of any format that is read: a COLMAP model's folder, NeRF-style JSON, cameras.npz of IDR and NeuS, Middlebury's
+    *_par.txt. images: the pictures' folder, where the format does not say it. skip: without pictures that do not exist. settings: those of
+    `photographs`. Raises InputError."""
+    return photographs(read_cameras(path, None if images is None else Path(images), skip), **settings)
+
+
+def photographs(found: Cameras, size: tuple[int, int] | int | None = None, near: float = 0.05, far: float = 100.0,
+                fits: Callable[[int, int, int], None] | None = None, told: Callable[[int, int], None] | None = None, masks: Masks = OWN,
+                stated: tuple[int, int] | None = None, normalize: bool | tuple[Sequence[float], float] = False) -> Views:
+    """Views of cameras that were read. stated: (width, height) of the pictures that the cameras are of, where their file does not say that.
+    normalize: brought into the unit ball: True, by what the file says of the object's place, else by the masks (`carve.ball_of`), else by
+    the points of the file; or a ball (centre, radius). near and far are then in its radii. The others as in `load_views`. InputError."""
+    shots = [replace(s, stated=stated) if stated is not None and s.stated == (None, None) else s for s in found.shots]
+    views = Views(*developed(shots, size, near, far, fits, told, masks))
+    if normalize is False:
+        return views
+    ball = found.ball if normalize is True else normalize
+    if ball is None and sum(mask.box is not None and not mask.full for mask in views.masks) > 1:
+        from .carve import ball_of  # which is of views
+        ball = ball_of(views)
+    if ball is None and found.points is not None and len(found.points):
+        centre = np.median(found.points, axis=0)  # some points are far off
+        ball = centre, float(np.quantile(np.linalg.norm(found.points - centre, axis=1), 0.9))
+    if ball is None:
+        raise InputError("nothing says where the object is, no masks and no points; give views.normalize = {center = [...], radius = ...}")
+    return views.within(Unit(*ball))
 
 
 def load_gltf_views(path: str | Path, source: str | Path | Sequence[str | Path], size: tuple[int, int] | int | None = None,

@@ -9,7 +9,7 @@ In: roots, and which of their nodes move but are no part of what changes in ever
 """
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 
@@ -78,6 +78,12 @@ def _in_few_tiles(n: Node) -> bool:
     return _tiles(n) is not None and _cost(_work(n)) >= APART_COST
 
 
+def in_its_tiles(n: Node, leaf: Node, keep: Callable[[Node], Node]) -> Node:
+    """What a plan reads in place of n, which is kept in a leaf: where n is nothing outside of some tiles, so is that, and readers need not
+    be drawn there either."""
+    return apply("inside_tiles", leaf, keep(_tiles(n)), tile=n.attrs["tile"]) if _in_few_tiles(n) and n.op.name == "inside_tiles" else leaf
+
+
 def apart(roots: Sequence[Node], moving: Collection[Node]) -> list[Node]:
     """Roots that move, with choices taken apart in which one side is much work and is taken in some tiles alone: what is chosen in those
     tiles is then a node of its own, which `again` leaves to be kept, and elsewhere the other side is."""
@@ -91,9 +97,11 @@ def _split(root: Node) -> Node:
         if n not in known and (value := constant_value(n, known)) is not None:
             known[n] = value
 
+    kept = set(topological([n for n in order if _in_few_tiles(n)]))  # in tiles already
+
     def rewrite(n: Node, inputs: tuple[Node, ...]) -> Node:
         new = intern(n.op, inputs, n.attrs, n.vtype, n.extent)
-        if not (n.op.chooses and n.inputs[0] in known and not known[n.inputs[0]].any()):
+        if n in kept or not (n.op.chooses and n.inputs[0] in known and not known[n.inputs[0]].any()):
             return new
         by, there, elsewhere = n.inputs
         tiled = [m for m in order if m in _work(by) and _tiles(m) is not None]

@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from ...cache.bundle_plans import MAX_NEEDS
 from ..graph.ir import Extent, Node, intern, topological
 from ..graph.optable import COUNT, OWN, apply
-from .again import again, apart, heavy
+from .again import again, apart, heavy, in_its_tiles
 
 KEEP_COST = 12  # a clean value this cheap that fetches nothing is computed again
 
@@ -116,7 +116,7 @@ def _cut(roots: Sequence[Node], dirty: set[Node], moving: set[Node], prefix: str
         if n.op.part and parts[n.inputs[0]] > 1:  # one image instead of several
             new[n] = intern(n.op, (keep(n.inputs[0]),), n.attrs, n.vtype, n.extent)
             return new[n]
-        new[n] = _leaf(n, prefix, cached)
+        new[n] = in_its_tiles(n, _leaf(n, prefix, cached), keep) if n in moving else _leaf(n, prefix, cached)
         return new[n]
 
     for n in order:

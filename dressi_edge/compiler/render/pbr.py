@@ -36,10 +36,10 @@ class PBR:
     metallic: Source = 0.0
     occlusion: Source = 1.0
     emissive: Source = 0.0
-    normal: Source | None = None
     lights: Sequence[Light] = ()
     environment: Environment | None = None
     two_sided: bool = False
+    normal: Source | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.lights, (tuple, list)) or not all(isinstance(light, Light) for light in self.lights):

@@ -19,7 +19,7 @@ from .job_file import parse_file_scene
 from .job_scene import SceneJob, parse_scene
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
-from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, no_points_in, optimizer_of, schedule_of, soft, softness_of, views_of
 from .tables import Table
 from .targets import Carried, at_once
 
@@ -82,7 +82,8 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
                          "set render.shading = \"lambert\", or drop it")
     softs = [(p, {**settings["soft"], **p.soft}) for p in phases]
 
-    mesh, views = make_mesh(), make_views()
+    mesh, views = make_mesh(make_views), make_views()
+    job.checked(no_points_in, views, lights)
     views_table.checked(sense.check, mesh, views, any(loss.kind == "silhouette" for phase in phases for loss in phase.losses),
                         "mesh.normalize has moved and scaled the mesh, but not the cameras" if job.get("mesh").get("normalize") else "",
                         "path" in job.get("mesh"))

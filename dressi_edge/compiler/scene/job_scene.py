@@ -21,6 +21,7 @@ from ..graph.program import Program
 from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
 from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
+from ..io.views import Views
 from ..render import loss as losses
 from ..render.brdf import LEAST_ROUGHNESS
 from ..render.environment import Environment
@@ -47,6 +48,7 @@ from .sections import (
     environment_of,
     light_of,
     mesh_of,
+    no_points_in,
     optimizer_of,
     schedule_of,
     soft,
@@ -111,7 +113,7 @@ class _PartTable:
 
     table: Table
     name: str
-    load: Callable[[], Mesh]
+    load: Callable[[Callable[[], Views]], Mesh]
     normals: str | None
     kind: str
     settings: dict
@@ -171,7 +173,8 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
     optimized = {key for phase in phases for key in phase.optimize}
 
-    meshes, views = [p.load() for p in parts], make_views()
+    meshes, views = [p.load(make_views) for p in parts], make_views()
+    job.checked(no_points_in, views, lights)
     placed = _together([_placed(p, mesh) for p, mesh in zip(parts, meshes)])
     meshes, views, lights, origin = recentred_parts(meshes, views, lights, origin_of(placed.positions))
     placed = replace(placed, positions=placed.positions - origin)
@@ -206,7 +209,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
     seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
     scene.output("render", color=compose(seen.color, seen.alpha))
     vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
-    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights), targets,
+    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights, views.unit), targets,
                     {"render.color": "render.view"} if one else {})
 
 

@@ -17,6 +17,7 @@ from ..io.gltf_lights import PlacedLight
 from ..io.images import linear_to_srgb, srgb_to_linear
 from ..io.materials import Material, Part
 from ..io.mesh import Mesh
+from ..io.unit import Unit
 from ..render.light import PLACED, Light
 from ..render.material import IDENTITY, Corner, Texture, Unlit, Vertex
 from .material_meta import Sources, described, pack, unpack
@@ -34,9 +35,21 @@ def origin_in(meta: Mapping, name: str | None = None) -> np.ndarray:
         raise BundleError(f"meta.origin is malformed ({error}); compile the bundle again") from None
 
 
-def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Light]) -> dict:
-    """The meta of a frame whose origin is not the input's: where it is, and which values are points in it. Nothing for the input's own."""
+def scale_in(meta: Mapping, name: str | None = None) -> float:
+    """What lengths on the device are to be multiplied by to have them in the input's frame (`io.unit`), before `origin_in`; 1 for the value
+    `name` where it is no point. Raises BundleError."""
+    scale = meta.get("scale", 1.0)
+    if not isinstance(scale, float | int) or not 0.0 < scale < np.inf:
+        raise BundleError(f"meta.scale is {scale!r:.40}, no number above 0; compile the bundle again")
+    return float(scale) if name is None or name in meta.get("points", ()) else 1.0
+
+
+def frame_meta(origin: np.ndarray, vertices: Sequence[str], lights: Sequence[Light], unit: Unit | None = None) -> dict:
+    """The meta of a frame that is not the input's: its origin there, how long its unit is there (if not 1), and which values are points in
+    it. Nothing for the input's own. unit: the frame that the origin is in."""
     points = [*vertices, *(f"light{k}.vector" for k, light in enumerate(lights) if light.kind in PLACED)]
+    if unit is not None:
+        return {"origin": (unit.origin + unit.scale * origin).tolist(), "scale": unit.scale, "points": points}
     return {"origin": origin.tolist(), "points": points} if origin.any() else {}
 
 
@@ -135,8 +148,8 @@ def parts_of(session) -> list[Part]:
     entries = meta.get("parts")
     if not isinstance(entries, list) or not entries or not all(isinstance(e, Mapping) for e in entries):
         raise BundleError("this bundle carries no parts (meta.parts); compile it from a job, a Problem or a recorded Scene")
-    origin = origin_in(meta)
-    return [_part(_Entry(session, entry, f"meta.parts[{k}]"), bool(meta.get("linear_albedo")), origin) for k, entry in enumerate(entries)]
+    origin, scale, linear = origin_in(meta), scale_in(meta), bool(meta.get("linear_albedo"))
+    return [_part(_Entry(session, entry, f"meta.parts[{k}]"), linear, origin, scale) for k, entry in enumerate(entries)]
 
 
 def lights_of(session) -> list[PlacedLight]:
@@ -169,21 +182,23 @@ def lights_of(session) -> list[PlacedLight]:
 def cameras_of(session) -> list[tuple[str, Camera]]:
     """The cameras with their names, in the input's frame, where they were when compiled. Raises BundleError."""
     meta = session.bundle.description["meta"]
+    scale = scale_in(meta)
     try:
-        width, height = meta["image_size"]
+        sizes = meta.get("view_sizes") or [meta["image_size"]] * len(meta["cameras"])
         rows, names = np.array(meta["cameras"], np.float64).reshape(-1, 18), list(map(str, meta["images"]))
         kinds, out = meta.get("camera_kinds", ["perspective"] * len(rows)), []
-        for name, row, kind in zip(names, rows, kinds, strict=True):
+        for name, row, kind, (width, height) in zip(names, rows, kinds, sizes, strict=True):
             pose = np.eye(4)
             pose[:3] = row[:12].reshape(3, 4)
-            pose[:3, 3] -= pose[:3, :3] @ origin_in(meta)
-            out.append((name, Camera(pose, *row[12:16].tolist(), width, height, *row[16:].tolist(), kind)))
+            pose[:3, 3] = pose[:3, 3] * scale - pose[:3, :3] @ origin_in(meta)
+            lens = row[12:16] / (scale if kind == "orthographic" else 1.0, scale if kind == "orthographic" else 1.0, 1.0, 1.0)
+            out.append((name, Camera(pose, *lens.tolist(), width, height, *(row[16:] * scale).tolist(), kind)))
         return out
     except (KeyError, TypeError, ValueError) as error:
         raise BundleError(f"meta.cameras is malformed ({error}); compile the bundle again") from None
 
 
-def _part(e: _Entry, linear: bool, origin: np.ndarray) -> Part:
+def _part(e: _Entry, linear: bool, origin: np.ndarray, scale: float) -> Part:
     def stored(colors: np.ndarray) -> np.ndarray:
         colors = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
         return linear_to_srgb(colors) if linear else colors
@@ -195,7 +210,8 @@ def _part(e: _Entry, linear: bool, origin: np.ndarray) -> Part:
     if faces is None:
         raise BundleError(f"{e.where} has no faces; compile the bundle again")
     places = e.value(positions) if isinstance(positions, str) else unpack(positions, f"{e.where}.positions", "<f8", 3)
-    mesh = Mesh(places + origin, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
+    places = places * scale + origin
+    mesh = Mesh(places, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
                 normal_faces=e.array("normal_faces", "<i4", 3))
     if isinstance(e.meta.get("material"), Mapping):
         sources = Sources(e.meta["material"], e.where, e.value, mesh)

@@ -22,7 +22,7 @@ from ..io.views import Views
 from ..io.writers import contact_sheet, loss_curve, save_json, save_parts
 from ..render.octahedron import panorama
 from .material_meta import pack, unpack
-from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, seen_meta
+from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, scale_in, seen_meta
 
 SHOWN = 8  # views in a contact sheet
 
@@ -40,7 +40,7 @@ def record(problem) -> dict:
              "albedo_color": [float(x) for x in problem.albedo_color],
              "pivot": list(problem.pivot), "shading": problem.shading, "wrap": problem.wrap}
     meta |= seen_meta(problem.program, problem.phases, problem.cameras, (problem.width, problem.height), names)
-    meta |= frame_meta(problem.origin, ["vertices"], problem.lights)
+    meta |= frame_meta(problem.origin, ["vertices"], problem.lights, problem.views.unit if isinstance(problem.views, Views) else None)
     if mesh.uvs is not None:
         meta |= {"uvs": pack(mesh.uvs, "<f8"), "uv_faces": pack(mesh.uv_faces, "<i4")}
     given = {"color_faces": mesh.color_faces, "vertex_map": mesh.vertex_map}
@@ -89,8 +89,9 @@ def mesh_of(session) -> Mesh:
     colors = encoded(session.get("colors")) if _has(session, "colors") else None
     color_faces, vertex_map = (_unpack(meta, name, "<i4", columns) for name, columns in (("color_faces", 3), ("vertex_map", 1)))
     normals, normal_faces = _unpack(meta, "normals", "<f8", 3), _unpack(meta, "normal_faces", "<i4", 3)
-    return Mesh(session.get("vertices") + _origin(session), faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces,
-                normals, normal_faces, None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
+    positions = session.get("vertices") * scale_in(meta) + _origin(session)
+    return Mesh(positions, faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces, normals, normal_faces,
+                None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
 
 
 def _views(session) -> int:
@@ -246,12 +247,14 @@ def _changed(session) -> set[str]:
 
 def _found(session) -> dict:
     """Cameras, lights and single values of parts, where they were optimized."""
-    changed, out = _changed(session), {}
-    lights = {name: (np.asarray(session.get(name)) + _origin(session, name)).tolist() for name in sorted(changed)
+    changed, out, scale = _changed(session), {}, scale_in(meta_of(session))
+    lights = {name: (np.asarray(session.get(name)) * scale_in(meta_of(session), name) + _origin(session, name)).tolist() for name in
+              sorted(changed)
               if name.startswith("light") and name.count(".") == 1}
     if lights:
         out["lights"] = lights
-    values = {name: np.asarray(session.get(name)).tolist() for name in sorted(changed)
+    values = {name: (np.asarray(session.get(name)) * (scale if name.endswith(".translation") else 1.0)).tolist() for name in
+              sorted(changed)
               if not name.startswith(("light", "camera.")) and name.count(".") == 1 and session.values[name]["layout"] == "unit"
               and name.partition(".")[0] in {entry.get("name") for entry in meta_of(session).get("parts", ())}}
     if values:
@@ -266,7 +269,7 @@ def _found(session) -> dict:
             pose[:3] = rotation_matrix(turn) @ base
             pose[:3, 3] += p - rotation_matrix(turn) @ p + shift
             pose = inverse_rigid(pose)
-            pose[:3, 3] += _origin(session)
+            pose[:3, 3] = pose[:3, 3] * scale + _origin(session)
             poses.append(pose.tolist())
         out["camera_to_world"] = dict(zip(meta_of(session)["images"], poses))
     return out

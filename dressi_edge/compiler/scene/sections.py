@@ -2,21 +2,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from ...cache.errors import InputError
 from ..io.decode import Masks
+from ..io.formats import Cameras, read_cameras
+from ..io.hull import visual_hull
 from ..io.mesh import Mesh
 from ..io.meshes import load_mesh, load_texture, normalize
 from ..io.panorama import load_panorama
 from ..io.shapes import sphere
-from ..io.views import Views, load_gltf_views, load_views
+from ..io.transforms import read_transforms
+from ..io.views import Views, load_gltf_views, photographs
 from ..render.environment import Environment
 from ..render.light import KINDS as LIGHTS
-from ..render.light import Light, Shadow
+from ..render.light import PLACED, Light, Shadow
 from ..render.octahedron import SIZES, octahedral
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
@@ -27,42 +32,48 @@ from .tables import NEEDED, Table
 ENVIRONMENT = ("path", "radiance", "size", "rotation", "strength", "background")
 LIGHT = ("kind", "power", "vector", "direction", "cone", "shadow")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
-MESH = ("path", "sphere", "normalize", "texture")
+MESH = ("path", "sphere", "hull", "normalize", "texture")
 SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
 ADAM = ("rate", "betas", "epsilon")
 OPTIMIZERS = {"adam": (Adam, ADAM), "adamw": (AdamW, (*ADAM, "decay")), "adam_uniform": (AdamUniform, (*ADAM, "shared")),
               "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
 
 
-def mesh_of(t: Table, folder: Path) -> Callable[[], Mesh]:
-    """Reads [mesh], or what of a [[part]] says its mesh; gives a function that loads it."""
-    if len(t.has("path", "sphere")) != 1:
-        raise t.conflict("path or sphere is needed, and not both")
+def mesh_of(t: Table, folder: Path) -> Callable[[Callable[[], Views]], Mesh]:
+    """Reads [mesh], or what of a [[part]] says its mesh; gives a function that makes it of what loads the views."""
+    if len(t.has("path", "sphere", "hull")) != 1:
+        raise t.conflict("path, sphere or hull is needed, and one of them alone")
     scaled, texture = t.flag("normalize", False), t.file("texture", folder, None)
     file = t.file("path", folder, None)
     if file is None:
         if scaled:
-            raise t.conflict("normalize is for path; a sphere has its radius")
-        ball = t.table("sphere", ("vertices", "radius"))
-        vertices, radius = ball.number("vertices", 2562, 4, 700_000, whole=True), ball.number("radius", 1.0, 0.0, above=True)
+            raise t.conflict("normalize is for path; a sphere has its radius, a hull its place")
+        hull = bool(t.has("hull"))
+        ball = t.table("hull", ("vertices",)) if hull else t.table("sphere", ("vertices", "radius"))
+        vertices = ball.number("vertices", 2562, 100 if hull else 4, 100_000 if hull else 700_000, whole=True)
+        radius = 1.0 if hull else ball.number("radius", 1.0, 0.0, above=True)
 
-    def make() -> Mesh:
+    def make(views: Callable[[], Views]) -> Mesh:
         if file is None:
-            mesh = ball.checked(sphere, vertices, radius)
+            mesh = ball.checked(visual_hull, views(), vertices) if hull else ball.checked(sphere, vertices, radius)
             return mesh if texture is None else replace(mesh, texture=t.checked(load_texture, texture))
         mesh = t.checked(load_mesh, file, texture)
-        return t.checked(normalize, mesh) if scaled else mesh
+        if scaled:
+            return t.checked(normalize, mesh)
+        unit = views().unit  # a mesh of a file is where the cameras are
+        return mesh if unit is None else replace(mesh, positions=unit.inside(mesh.positions))
 
     return make
 
 
 def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None], told: Callable[[int, int], None] | None = None):
     """Reads [views]; gives the table and a function that loads them, and tells how many pictures of how many are read."""
-    t = job.table("views", ("transforms", "gltf", "images", "masks", "backdrop", "alpha", "missing", "size", "order", "seed", "color",
-                            "near", "far"))
-    if len(t.has("transforms", "gltf")) != 1:
-        raise t.conflict("transforms (a NeRF-style JSON or its folder) or gltf (cameras) is needed, and not both")
-    transforms, gltf = t.file("transforms", folder, None), t.file("gltf", folder, None)
+    t = job.table("views", ("transforms", "cameras", "gltf", "images", "missing", "stated", "normalize", "masks", "backdrop", "alpha",
+                            "size", "order", "seed", "color", "near", "far"))
+    if len(t.has("transforms", "cameras", "gltf")) != 1:
+        raise t.conflict("transforms (a NeRF-style JSON or its folder), cameras (of COLMAP and others) or gltf (cameras) is needed, and "
+                         "one of them alone")
+    transforms, cameras, gltf = (t.file(key, folder, None) for key in ("transforms", "cameras", "gltf"))
     masks, skip = _masks_of(t, folder), t.word("missing", "error", ("error", "skip")) == "skip"
     if isinstance(t.get("size", None), list):
         size = t.numbers("size", 2, None, 1, 16384, whole=True)
@@ -71,21 +82,27 @@ def views_of(job: Table, folder: Path, fits: Callable[[int, int, int], None], to
     near, far = t.number("near", 0.05, 0.0, above=True), t.number("far", 100.0, 0.0, above=True)
     if far <= near:
         raise t.wrong("far", far, f"a number above near, {near:g}, is needed")
-    if gltf is not None and (wrong := t.has("near", "far", "missing")):
-        raise t.conflict(f"{wrong[0]} is for transforms; " + ("every camera needs its picture" if wrong[0] == "missing" else
-                                                             "glTF cameras have their own near and far"))
-    images = t.get("images", None)
-    if (gltf is None) != (images is None):
+    if gltf is not None and (wrong := t.has("near", "far", "missing", "stated", "normalize")):
+        raise t.conflict(f"{wrong[0]} is not for gltf, whose cameras have a near and far, a unit and a picture of their own; drop it")
+    if cameras is None and (gltf is None) != (not t.has("images")):
         raise t.conflict("gltf and images belong together; transforms names its images itself")
-    if images is not None:
-        images = _files_of(t, "images", folder)
+    images = _files_of(t, "images", folder) if t.has("images") else None
+    if cameras is not None and isinstance(images, list):
+        raise t.wrong("images", t.get("images"), "cameras needs a folder")
+    stated, ball = t.numbers("stated", 2, None, 1, 1 << 16, whole=True), t.get("normalize", False)
+    if isinstance(ball, dict):
+        b = t.table("normalize", ("center", "radius"))
+        ball = b.numbers("center", 3), b.number("radius", low=0.0, above=True)
+    elif not isinstance(ball, bool):
+        raise t.wrong("normalize", ball, "true, false or {center = [x, y, z], radius = r} is needed")
 
     def make() -> Views:
-        if transforms is not None:
-            return t.checked(load_views, transforms, size, near, far, fits, told, masks, skip)
-        return t.checked(load_gltf_views, gltf, images, size, fits, told, masks)
+        if gltf is not None:
+            return t.checked(load_gltf_views, gltf, images, size, fits, told, masks)
+        found = Cameras(t.checked(read_transforms, transforms, skip)) if cameras is None else t.checked(read_cameras, cameras, images, skip)
+        return t.checked(photographs, found, size, near, far, fits, told, masks, stated, ball)
 
-    return t, make
+    return t, cache(make)
 
 
 def _files_of(t: Table, key: str, folder: Path) -> Path | list[Path]:
@@ -203,6 +220,13 @@ def tone_of(render: Table, srgb: bool) -> Tone | None:
     t = render.table("tone", ("curve", "exposure", "white"))
     return t.checked(Tone, t.word("curve", "linear", CURVES), float(t.number("exposure", 0.0, -60, 60)),
                      float(t.number("white", 4.0, 0.0, above=True)), srgb)
+
+
+def no_points_in(views: Views, lights: Sequence[Light]) -> None:
+    """Raises InputError for point lights beside views in a frame of their own: their power is one of the unit of length."""
+    if views.unit is not None and any(light.kind in PLACED for light in lights):
+        raise InputError("a point or spot light's power and place are of the unit that views.normalize changes; use directional and "
+                         "ambient lights, or bring the cameras into the unit ball yourself")
 
 
 def optimizer_of(outer: Table, key: str, steps: int) -> Optimizer:
