@@ -103,7 +103,7 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("--pin", metavar="SHA256", help="refuse any file but the one with this SHA-256 (64 hexadecimal digits)")
 
     sub = command("new", "write a starting job for a folder of pictures, after looking at what is in it")
-    sub.add_argument("folder", help="pictures, with their cameras: transforms.json, or a glTF file")
+    sub.add_argument("folder", help="pictures, with their cameras: transforms.json, a COLMAP model, cameras.npz, *_par.txt or a glTF file")
     sub.add_argument("-o", "--output", metavar="JOB.toml", default="job.toml", help="the job to write (default job.toml)")
     sub.add_argument("--force", action="store_true", help="replace files that exist")
 

@@ -104,6 +104,27 @@ def test_pictures_that_are_missing_are_left_out(tmp_path):
     assert job["views"]["missing"] == "skip" and "4 pictures" in said and len(load_job(tmp_path / "job.toml").cameras) == 4
 
 
+def test_a_colmap_model_is_found(tmp_path):
+    folder = folder_of(tmp_path, kind="masks", middle=(1.0, 2.0, 3.0))
+    table = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").unlink()
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text(f"1 PINHOLE 80 60 {table['fl_x']} {table['fl_y']} {table['cx']} {table['cy']}\n")
+    lines = []
+    for k, frame in enumerate(table["frames"]):
+        seen = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(frame["transform_matrix"])  # COLMAP: y down, z ahead
+        w = 0.5 * np.sqrt(max(1.0 + np.trace(seen[:3, :3]), 1e-12))
+        axis = np.array([seen[2, 1] - seen[1, 2], seen[0, 2] - seen[2, 0], seen[1, 0] - seen[0, 1]]) / (4.0 * w)
+        numbers = " ".join(f"{x:.17g}" for x in (w, *axis, *seen[:3, 3]))
+        lines += [f"{k + 1} {numbers} 1 {k:03}.png", ""]
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    job, said = written(tmp_path, folder)
+    assert job["views"]["cameras"] == "photos" and "masks are in masks" in said
+    assert np.allclose(load_mesh(tmp_path / job["mesh"]["path"]).positions.mean(axis=0), (1.0, 2.0, 3.0), atol=0.05)
+    assert len(load_job(tmp_path / "job.toml").cameras) == 5
+
+
 @pytest.mark.parametrize("name", ["my photos", "it's", 'a "b"', "Äpfel", "a\\b"])
 def test_folders_may_be_called_anything(tmp_path, name):
     job, _ = written(tmp_path, folder_of(tmp_path, name=name, views=3))
@@ -135,7 +156,7 @@ def test_what_cannot_be_guessed_is_asked_for(tmp_path):
     with pytest.raises(InputError, match="where the object is cannot be told: 000.png has no alpha.*Make masks, white on the object"):
         starting_job(folder, tmp_path)
     (folder / "transforms.json").unlink()
-    with pytest.raises(InputError, match="photos has 5 pictures and no cameras: .*COLMAP finds it"):
+    with pytest.raises(InputError, match="photos has 5 pictures and no cameras: .*COLMAP model.*COLMAP finds it"):
         starting_job(folder, tmp_path)
 
 

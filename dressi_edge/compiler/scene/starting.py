@@ -17,15 +17,17 @@ import numpy as np
 from ...cache.errors import InputError, InputWarning
 from ...cache.profile import Profile
 from ..io.cameras import Camera
+from ..io.colmap import MODEL_FOLDERS
 from ..io.decode import NEIGHBOURS as MASKS
 from ..io.decode import OWN, Masks, images_in, opened
+from ..io.formats import FORMATS, read_cameras
 from ..io.gltf_cameras import gltf_cameras
 from ..io.materials import Material, Part
 from ..io.meshes import load_mesh
 from ..io.shapes import sphere
 from ..io.text import shown
-from ..io.transforms import NAMES, read_transforms
-from ..io.views import Views, load_gltf_views, load_views
+from ..io.transforms import NAMES
+from ..io.views import Views, load_gltf_views, photographs
 from ..io.write_obj import encode_obj
 from .limits import side
 
@@ -35,9 +37,8 @@ MANY = 32  # views from which one is shown a step
 LOOKED = 6  # pictures that are opened to see what they are
 UNIFORM = 0.06  # how far a plain backdrop's colours are from each other, in the cube of colours over sqrt 3
 MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-NO_CAMERAS = ("no cameras: there is neither {names} nor a glTF file with cameras. If nobody knows where the pictures were taken from, "
-              "COLMAP finds it (colmap automatic_reconstructor), and nerfstudio's ns-process-data writes it as transforms.json; put that "
-              "into the folder")
+NO_CAMERAS = ("no cameras: there is neither {formats}, nor a glTF file with cameras. If nobody knows where the pictures were taken from, "
+              "COLMAP finds it (colmap automatic_reconstructor); put its model into the folder")
 NO_MASKS = ("where the object is cannot be told: {picture} has no alpha, no folder {masks} is there, and the backdrop is not plain. Make "
             "masks, white on the object and black around it, each called as its picture, in {folder}")
 
@@ -72,22 +73,21 @@ def starting_job(folder: str | Path, beside: str | Path, name: str = "job") -> S
 
 @dataclass(frozen=True)
 class _Found:
-    """file: of the cameras, a transforms JSON or a glTF; pictures: its pictures; skip: others that it names do not exist."""
+    """key: of [views] that names them; file: that of the cameras; pictures: its pictures; skip: others that it names do not exist."""
 
+    key: str
     file: Path
     pictures: list[Path]
-    gltf: bool = False
     skip: bool = False
 
     def load(self, size: int, masks: Masks) -> Views:
-        if self.gltf:
+        if self.key == "gltf":
             return load_gltf_views(self.file, self.pictures[0].parent, size, masks=masks)
-        return load_views(self.file, size, 1e-6, 1e6, masks=masks, skip=self.skip)
+        return photographs(read_cameras(self.file, None, self.skip), size, 1e-6, 1e6, masks=masks)
 
     def keys(self, beside) -> list[str]:
-        if self.gltf:
-            return [f"gltf = {_quoted(_relative(self.file, beside))}", f"images = {_quoted(_relative(self.pictures[0].parent, beside))}"]
-        return [f"transforms = {_quoted(_relative(self.file, beside))}", *(['missing = "skip"'] if self.skip else [])]
+        images = [f"images = {_quoted(_relative(self.pictures[0].parent, beside))}"] if self.key == "gltf" else []
+        return [f"{self.key} = {_quoted(_relative(self.file, beside))}", *images, *(['missing = "skip"'] if self.skip else [])]
 
 
 def _cameras(folder: Path) -> _Found:
@@ -96,7 +96,11 @@ def _cameras(folder: Path) -> _Found:
     for place in places:
         for name in NAMES:
             if (place / name).is_file():
-                return _transforms(place / name)
+                return _read("transforms", place / name)
+    for place in places:
+        model = [place] if any((place / below / f"cameras{kind}").is_file() for below in MODEL_FOLDERS for kind in (".bin", ".txt")) else []
+        for file in [*model, *sorted(place.glob("cameras*.npz")), *sorted(place.glob("*_par*.txt"))]:
+            return _read("cameras", file)
     scenes = [p for place in places for p in sorted(place.iterdir()) if p.suffix.lower() in (".glb", ".gltf")]
     for scene in scenes:
         for place in places:
@@ -106,20 +110,20 @@ def _cameras(folder: Path) -> _Found:
             except InputError:
                 continue
             if count == len(pictures) > 0:
-                return _Found(scene, pictures, gltf=True)
+                return _Found("gltf", scene, pictures)
     pictures = sum(len(images_in(place)) for place in places)
-    raise InputError(f"{shown(folder)} has {pictures} pictures and " + NO_CAMERAS.format(names=" or ".join(NAMES)))
+    raise InputError(f"{shown(folder)} has {pictures} pictures and " + NO_CAMERAS.format(formats=FORMATS))
 
 
-def _transforms(path: Path) -> _Found:
-    """Of a JSON; where pictures are missing, those that are there."""
+def _read(key: str, path: Path) -> _Found:
+    """Of a format of cameras; where pictures are missing, those that are there."""
     try:
-        return _Found(path, [shot.file for shot in read_transforms(path)])
+        return _Found(key, path, [shot.file for shot in read_cameras(path).shots])
     except InputError:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InputWarning)  # what is skipped is told here
-            shots = read_transforms(path, skip=True)  # or what is wrong is something else
-        return _Found(path, [shot.file for shot in shots], skip=True)
+            shots = read_cameras(path, skip=True).shots  # or what is wrong is something else
+        return _Found(key, path, [shot.file for shot in shots], skip=True)
 
 
 def _masks(pictures: Sequence[Path], folder: Path, beside) -> tuple[list[str], list[str], Masks]:
@@ -218,10 +222,12 @@ def _text(folder: str, keys: Sequence[str], size: int, views: Views, mesh: str, 
           far: float, told: Sequence[str]) -> str:
     shuffled = len(views) > MANY
     steps = (1500, 800) if shuffled else (600, 200)
+    hull = [] if mesh.startswith("path") and "_start.obj" not in mesh else [
+        f"# or, carved out of the masks, for a third of the steps: hull = {{vertices = {VERTICES}}}   (pip install 'dressi_edge[hull]')"]
     number = f"{0.01 * radius:.2g}", f"{0.001 * radius:.2g}", f"{0.05 / radius:.2g}"
     return "\n".join([
         f"# A starting job for the pictures in {folder}; every key: docs/job.md", *(f"# - {line}" for line in told), "",
-        "[mesh]", mesh, "", "[views]", *keys,
+        "[mesh]", mesh, *hull, "", "[views]", *keys,
         f"size = {size}".ljust(34) + "# of a view's longer side; more shows more and takes longer",
         f"near = {near:.3g}", f"far = {far:.3g}",
         *(['order = "shuffle"'.ljust(34) + "# one view a step, for there are many"] if shuffled else []), "",
