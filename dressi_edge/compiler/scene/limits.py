@@ -56,7 +56,8 @@ def fits_views(profiles: Sequence[Profile]) -> Callable[[int, int, int], None]:
                 help_ += [f"views.size = [{small[0]}, {small[1]}] or smaller"] if min(small) > 0 else []
                 needs = "lie side by side in one image" if count > 1 else "needs an image"
                 raise InputError(f"{what} {needs} of {extent.width}x{extent.height}; profile {profile.name} allows {across}x{down}; "
-                                 f"use {' or '.join(help_) or 'fewer and smaller views'}")
+                                 f"use {' or '.join(help_) or 'fewer and smaller views'}"
+                                 + (", or views.order = \"shuffle\", which has one at a time on the device" if count > 1 else ""))
         _fits_host(what, count * width * height)
     return check
 
