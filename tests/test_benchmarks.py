@@ -95,7 +95,8 @@ def run(module, folder, *arguments) -> dict:
 def test_real_photographs_quick(tmp_path):
     """On a painted ring: from its hull, it has its hole from the start, and colours and gains are fitted together."""
     import real
-    report = run(real, tmp_path, "oxford")
+    real.main(["oxford", "--quick", "--out", str(tmp_path), "--json", str(tmp_path / "out.json")])
+    report = json.loads((tmp_path / "out.json").read_text())
     cases = {row["case"]: row for row in report["results"]}
     assert set(cases) == {f"oxford {k}" for k in ("hull", "hull: shape", "hull: texture", "joint", "sphere: shape", "sphere: texture")}
     assert cases["oxford joint"]["genus"] == 1 and cases["oxford sphere: shape"]["genus"] == 0

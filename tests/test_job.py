@@ -119,7 +119,7 @@ def test_a_parameters_table_is_its_optimizer(given, expected):
     ("kind = \"laplacian\"", "kind = \"laplacian\"\nnorm = \"l1\"", "norm is no setting of loss laplacian"),
     ("norm = \"l1\"", "norm = \"l3\"", "phase[1].loss[0].norm is 'l3'; did you mean l2? allowed: l1 l2"),
     ("vertices = 42, radius = 0.5", "vertices = 1", "mesh.sphere.vertices is 1; a whole number from 4 to 700000 is needed"),
-    ("[mesh]", "[mesh]\npath = \"a.obj\"", "mesh: path or sphere is needed, and not both"),
+    ("[mesh]", "[mesh]\npath = \"a.obj\"", "mesh: path, sphere or hull is needed, and one of them alone"),
     ("[views]", "[views]\nsize = [48, 48]", "size 48x48 for images of 24x24"),
     ("[views]", "[views]\norder = \"random\"", "views.order is 'random'; allowed: batch cycle shuffle"),
     ("[views]", "[views]\nnear = 2\nfar = 1", "views.far is 1; a number above near, 2, is needed"),

@@ -109,7 +109,7 @@ def test_every_parameter_can_be_named(folder):
     ({"part": [{"name": "a", "path": "pear.glb"}] * 2}, "two parts are called 'a'"),
     ({"part": [{"path": "pear.glb"}]}, r"part\[0\].name is missing"),
     ({"part": [{"name": "a.b", "path": "pear.glb"}]}, r"part\[0\].name is 'a.b'; letters"),
-    ({"part": [{"name": "a"}]}, r"part\[0\]: path or sphere is needed"),
+    ({"part": [{"name": "a"}]}, r"part\[0\]: path, sphere or hull is needed"),
     ({"part": [{"name": "a", "path": "none.glb"}]}, "none.glb does not exist"),
     ({"part": [{"name": "a", "path": "pear.glb", "colour": 1}]}, r"part\[0\].colour is an unknown key"),
     ({"part": [{"name": "a", "path": "pear.glb", "material": {"kind": "glass"}}]}, r"material.kind is 'glass'.*allowed: unlit lambert"),
