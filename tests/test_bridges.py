@@ -282,3 +282,12 @@ def test_work_beside_outlines_is_drawn_there_alone_and_listed_edges_as_far_as_th
 def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run_page() == 2
+
+
+def test_the_benchmark_walks_the_same_way_in_each_loop(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+    import bridges
+    monkeypatch.setattr(bridges, "INSTALLED", {"torch": False, "jax": False})
+    rows = {row["case"]: row for row in bridges.main(["--quick", "--size", "32", "--json", str(tmp_path / "out.json")])}
+    assert rows.keys() == {"ours", "vjp", "numpy"} and (tmp_path / "out.json").stat().st_size > 100
+    assert rows["numpy"]["loss_after"] == pytest.approx(rows["ours"]["loss_after"], rel=1e-2)
