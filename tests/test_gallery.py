@@ -15,6 +15,7 @@ SMALL = {  # what is given to main(), and what its numbers must say
     "two_objects": ({"size": 64, "steps": 150}, lambda r: min(r["start"].values()) > 0.15 and max(r["end"].values()) < 0.03),
     "gloss": ({"size": 64, "steps": 150}, lambda r: r["start"] > 0.4 and r["end"] < 0.05 and r["texels"] > 0.3),
     "material": ({"size": 64, "steps": 120}, lambda r: r["psnr"] > 32 and all(b < 0.9 * a for a, b in (r["roughness"], r["metal"]))),
+    "normal_map": ({"size": 48, "steps": 60, "texels": (72, 48)}, lambda r: r["end"]["degrees"] < 0.6 * r["start"]["degrees"]),
     "blend_shapes": ({"size": 64, "steps": 120}, lambda r: r["end"] < r["start"] / 5),
     "depth_normals": ({"size": 64, "steps": 120}, lambda r: r["end"] < r["start"] / 8),
     "own_optimizer": ({"size": 48, "steps": 100}, lambda r: r["rmsprop"] < r["start"] / 50 and r["adam"] < r["start"] / 50),
