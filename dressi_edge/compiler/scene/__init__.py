@@ -4,11 +4,13 @@ from ..check_op import check_op
 from ..graph import functions as F
 from ..graph.optable import op
 from ..io.cameras import Camera, look_along, look_at, orbit
+from ..io.decode import Masks
+from ..io.hull import visual_hull
 from ..io.mesh import Mesh, corner_normals, linear_mesh
 from ..io.meshes import load_mesh, load_parts
 from ..io.panorama import load_panorama
 from ..io.shapes import icosphere, pear, sphere
-from ..io.views import Views, load_views
+from ..io.views import Views, load_photographs, load_views
 from ..io.writers import save_mesh, save_parts, save_png
 from ..render.environment import Environment
 from ..render.geometry import LargeSteps, blend_shapes, linear_model, rigid, similarity, skin
@@ -45,11 +47,12 @@ from .problem import Loss, Problem
 from .scene import Scene
 
 __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner",
-           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Mesh", "NormalMap", "Optimizer",
+           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Masks", "Mesh", "NormalMap", "Optimizer",
            "Outline", "PBR", "Problem", "Product", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness",
            "Subdivision", "Surface", "Texture", "Tone", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier", "check_op",
            "corner_normals", "cotangent_laplacian", "decode_srgb", "depth_loss", "edge_length", "encode_srgb", "face_points",
            "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh", "load_panorama",
-           "load_parts", "load_scene", "load_views", "look_along", "look_at", "mean_square", "normal_consistency", "normal_loss",
-           "octahedral", "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid", "save_mesh", "save_parts", "save_png",
-           "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide", "uniform_laplacian"]
+           "load_parts", "load_photographs", "load_scene", "load_views", "look_along", "look_at", "mean_square",
+           "normal_consistency", "normal_loss", "octahedral", "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid",
+           "save_mesh", "save_parts", "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide",
+           "uniform_laplacian", "visual_hull"]
