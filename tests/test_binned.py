@@ -13,7 +13,8 @@ from dressi_edge.cache.errors import InputError
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.autodiff import gradients
-from dressi_edge.compiler.graph.functions import compose, dot, lookup, total
+from dressi_edge.compiler.graph.functions import apply, compose, dot, lookup, total
+from dressi_edge.compiler.graph.ir import table
 from dressi_edge.compiler.graph.ops import bins
 from dressi_edge.compiler.graph.ops.bins import Grid, bin_faces
 from dressi_edge.compiler.graph.reference import evaluate
@@ -231,13 +232,15 @@ def test_lists_hold_every_face_of_a_tile_in_order(gpu, monkeypatch, first, secon
     program = Program()
     found = bin_faces(program.input("boxes", Layout("table", "ivec4", count=300), boxes), grid)
     count = found.faces.extent.count
+    listed = lookup(found.faces, apply("texel_index", extent=table(count)))  # as tables lie
     program.plan("p", {}, {"ranges": (found.ranges, Layout("table", "ivec2", count=len(expected))),
-                           "faces": (found.faces, Layout("table", "int", count=count)), "pairs": (found.pairs, Layout("unit", "int")),
+                           "faces": (listed, Layout("table", "int", count=count)), "pairs": (found.pairs, Layout("unit", "int")),
                            "spilled": (found.spilled, Layout("unit", "int"))})
     device = gpu.run(program, {})
     feed = {"boxes": program.values["boxes"].layout.to_image(boxes, "boxes")}
     for name, node in zip(("ranges", "faces"), evaluate([found.ranges, found.faces], feed)):
-        np.testing.assert_array_equal(device[name], program.values[name].layout.from_image(node))
+        used = slice(None) if name == "ranges" else slice(device["ranges"].max())
+        np.testing.assert_array_equal(device[name][used], program.values[name].layout.from_image(node)[used])
     assert device["spilled"] == spills
     if not spills:
         assert device["pairs"] == sum(map(len, expected))
@@ -277,7 +280,7 @@ def test_a_list_without_room_changes_no_bit(gpu, monkeypatch):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("tile", [(4, 4), (16, 8), (13, 7)])
+@pytest.mark.parametrize("tile", [(4, 4), (13, 7), None])
 def test_the_size_of_tiles_changes_no_bit(gpu, tile):
     found = []
     for size in ((8, 8), tile):

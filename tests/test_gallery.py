@@ -22,6 +22,8 @@ SMALL = {  # what is given to main(), and what its numbers must say
     "own_op": ({"size": 48, "steps": 120}, lambda r: abs(r["end"]["height"] - 0.25) < 0.01 and abs(r["end"]["width"] - 0.2) < 0.02),
     "forward": ({"size": 96, "views": 4}, lambda r: 0.2 < r["covered"] < 0.6 and 1.5 < r["nearest"] < r["furthest"] < 3.0),
     "lbfgs": ({"size": 48, "steps": 60}, lambda r: r["start"]["degrees"] > 50 and r["end"]["degrees"] < 6 and r["end"]["colors"] < 0.12),
+    "hidden": ({"size": 40, "steps": 100}, lambda r: r["behind"]["binned"] < 0.6 < 1.5 < min(r["behind"]["outline"], r["behind"]["K3"])
+               and r["far"]["outline"] < 0.2 * r["far"]["start"]),
     "numpy_loop": ({"size": 48, "steps": 40}, lambda r: r["end"] < r["start"] / 500),
 }
 

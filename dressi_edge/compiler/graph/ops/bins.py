@@ -11,7 +11,7 @@ tile gets the faces of its bin, where the first would, those of its view. So not
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -228,14 +228,14 @@ def _tile_words_of(ranges: np.ndarray) -> np.ndarray:
     return (ranges[:, 1] - ranges[:, 0] + WORD - 1) // WORD * SIDE * SIDE
 
 
-def _tile_words_ref(boxes, faces, ranges, bases, slots, views, face_count, cell_w, cell_h, columns, bins_x, bins_y, words, tile_w, tile_h):
-    out, boxes, faces = np.zeros(slots, np.int64), boxes.reshape(-1, 4), faces.reshape(-1)
+def _tile_words_ref(boxes, ranges, bases, slots, views, face_count, cell_w, cell_h, columns, bins_x, bins_y, words, tile_w, tile_h):
+    out, boxes = np.zeros(slots, np.int64), boxes.reshape(-1, 4)
     ranges, bases = ranges.reshape(-1, 2)[:views * bins_x * bins_y], bases.reshape(-1)
     for c, (first, end) in enumerate(ranges):
         view, rest = divmod(c, bins_x * bins_y)
         x, y = _corner(view, cell_w, cell_h, columns)
         x, y = x + rest % bins_x * tile_w * SIDE, y + rest // bins_x * tile_h * SIDE
-        of_bin = boxes[faces[first:end]]
+        of_bin = boxes[first:end]
         n = -(-(end - first) // WORD)
         for b, a in np.ndindex(SIDE, SIDE):
             flags = np.zeros(n * WORD, bool)
@@ -254,7 +254,7 @@ _OF_BIN = """int c_ = 0;
 
 
 def _tile_sample(rng, slots=400):
-    """Boxes, faces of bins, ranges, bases, and the words of tiles."""
+    """Faces of bins, ranges, bases; the boxes of those faces; how many words tiles have."""
     grid = _sample_grid()
     boxes = _sample_boxes(rng, grid)
     words = _bin_words_ref(boxes, **grid.attrs)
@@ -263,15 +263,15 @@ def _tile_sample(rng, slots=400):
     faces = _bin_list_ref(words, starts, spilled, total, slots=slots, per_bin=grid.words, **attrs)
     ranges = _bin_ranges_ref(starts, spilled, total, words=grid.words, **attrs)
     n = _tile_words_of(ranges.reshape(-1, 2)[:grid.views * grid.bins[0] * grid.bins[1]])
-    return grid, [boxes, faces, ranges, to_table(np.cumsum(n) - n)], int(n.sum())
+    return grid, [faces, ranges, to_table(np.cumsum(n) - n)], to_table(boxes.reshape(-1, 4)[faces.reshape(-1)]), int(n.sum())
 
 
 def _tile_words_sample(rng):
-    grid, inputs, count = _tile_sample(rng)
-    return inputs, {**grid.attrs, "slots": count + 20}
+    grid, inputs, boxes, count = _tile_sample(rng)
+    return [boxes, *inputs[1:]], {**grid.attrs, "slots": count + 20}
 
 
-op("tile_words", "boxes faces ranges bases", attrs="slots " + _GRID, reads="texel texel texel texel", ref=_tile_words_ref, cost=300,
+op("tile_words", "boxes ranges bases", attrs="slots " + _GRID, reads="texel texel texel", ref=_tile_words_ref, cost=300,
    infer=lambda name, inputs, attrs: ("int", table(attrs["slots"])), sample=_tile_words_sample,
    glsl="""{ int w_ = {i};
     """ + _OF_BIN + _BIN_PLACE + """
@@ -281,14 +281,14 @@ op("tile_words", "boxes faces ranges bases", attrs="slots " + _GRID, reads="texe
     int m_ = t_ < 64 && {i} < {n} ? min(r_.y - first_, 32) : 0;
     {y} = 0;
     for (int k_ = 0; k_ < m_; ++k_) {
-        ivec4 b_ = {boxes_at}({faces_at}(first_ + k_));
+        ivec4 b_ = {boxes_at}(first_ + k_);
         if (b_.x < e_.x && b_.z > q_.x && b_.y < e_.y && b_.w > q_.y) {y} |= 1 << k_;
     } }""",
-   doc="For each tile and 32 faces of its bin a word: bit k is set if the box of face k meets the tile. Words of a bin's 64 tiles lie from "
-       "`bases` on.")
+   doc="For each tile and 32 entries of its bin's list a word: bit k is set if box k, in the order of the list, meets the tile. "
+       "Words of a bin's 64 tiles lie from `bases` on.")
 
 
-def _tile_list_ref(words, starts, spilled, total, faces, ranges, bases, slots, bins):
+def _tile_list_ref(words, starts, spilled, total, faces, ranges, bases, drawn, slots, bins, partial=0):
     if spilled.reshape(-1)[0]:
         return _filled(faces.reshape(-1), slots)
     word, bit = _slots_ref(words, total)
@@ -299,13 +299,14 @@ def _tile_list_ref(words, starts, spilled, total, faces, ranges, bases, slots, b
 
 
 def _tile_list_sample(rng, slots=1200):
-    grid, inputs, count = _tile_sample(rng)
-    words = _tile_words_ref(*inputs, **grid.attrs, slots=count + 20)
-    return [words, *_scanned(words, slots), *inputs[1:]], {"slots": slots, "bins": grid.views * grid.bins[0] * grid.bins[1]}
+    grid, inputs, boxes, count = _tile_sample(rng)
+    words = _tile_words_ref(boxes, *inputs[1:], **grid.attrs, slots=count + 20)
+    return [words, *_scanned(words, slots), *inputs, np.array([[[0]]])], {"slots": slots, "bins": grid.views * grid.bins[0] * grid.bins[1]}
 
 
-op("tile_list", "words starts spilled total faces ranges bases", attrs="slots bins", reads=" ".join(["texel"] * 7), ref=_tile_list_ref,
-   cost=150, infer=lambda name, inputs, attrs: ("int", table(attrs["slots"])), sample=_tile_list_sample,
+op("tile_list", "words starts spilled total faces ranges bases drawn", attrs="slots bins partial?", reads="texel " * 7 + "count",
+   ref=_tile_list_ref, cost=150, sample=_tile_list_sample,
+   infer=lambda name, inputs, attrs: ("int", replace(table(attrs["slots"]), partial=attrs.get("partial", 0))),
    glsl="""{ int s_ = {i}, end_ = {spilled}(ivec2(0)) == 0 ? {total}(ivec2(0)) : 0;
     """ + _FIND + """
     int w_ = low_;
@@ -313,7 +314,8 @@ op("tile_list", "words starts spilled total faces ranges bases", attrs="slots bi
     {y} = -1;
     if (high_ > 0) {y} = {faces_at}(r_.x + (w_ - {bases_at}(c_)) % max(n_, 1) * 32 + bit_);
     if ({spilled}(ivec2(0)) != 0 && s_ < {faces_n}) {y} = {faces_at}(s_); }""",
-   doc="The faces (over views) of every tile, tile by tile, ascending; -1 after the last. Those of every bin where that is `spilled`.")
+   doc="The faces (over views) of every tile, tile by tile, ascending. Those of every bin where that is `spilled`. Drawn for as many "
+       "entries as `drawn` says, undefined after them.")
 
 
 def _tile_ranges_ref(starts, spilled, total, ranges, bases, tiles_x, tiles_y, views, bins_x, bins_y):
@@ -330,10 +332,10 @@ def _tile_ranges_ref(starts, spilled, total, ranges, bases, tiles_x, tiles_y, vi
 
 
 def _tile_ranges_sample(rng):
-    grid, inputs, count = _tile_sample(rng)
-    words = _tile_words_ref(*inputs, **grid.attrs, slots=count + 20)
+    grid, inputs, boxes, count = _tile_sample(rng)
+    words = _tile_words_ref(boxes, *inputs[1:], **grid.attrs, slots=count + 20)
     attrs = {key: grid.attrs[key] for key in ("views", "bins_x", "bins_y")}
-    return [*_scanned(words, 1200), *inputs[2:]], {**attrs, "tiles_x": grid.tiles[0], "tiles_y": grid.tiles[1]}
+    return [*_scanned(words, 1200), *inputs[1:]], {**attrs, "tiles_x": grid.tiles[0], "tiles_y": grid.tiles[1]}
 
 
 op("tile_ranges", "starts spilled total ranges bases", attrs="tiles_x tiles_y views bins_x bins_y", reads=" ".join(["texel"] * 5),
@@ -371,14 +373,14 @@ def _total(words: Node, starts: Node) -> Node:
 def capacities(grid: Grid, pairs: int | None) -> tuple[int, int]:
     """Places in the lists of bins and of tiles: no more than there could be entries."""
     bins, tiles = (grid.views * a * b for a, b in (grid.bins, grid.tiles))
-    first = min(grid.faces * bins, max(2 * grid.views * grid.faces, 1 << 16))
-    second = max(8 * grid.views * grid.faces, 1 << 18) if pairs is None else pairs
+    first = min(grid.faces * bins, max(2 * grid.views * grid.faces, 1 << 13))
+    second = max(16 * grid.views * grid.faces, 1 << 16) if pairs is None else pairs
     return first, max(first, min(grid.faces * tiles, second))
 
 
 def bin_faces(boxes: Node, grid: Grid, pairs: int | None = None) -> Binned:
-    """Lists by tile of what has these boxes, an ivec4 table of views x faces. pairs: places in the list, 8 a face of each view, at least
-    262144, unless given, and no more than there could be."""
+    """Lists by tile of what has these boxes, an ivec4 table of views x faces. pairs: places in the list, 16 a face of each view, at least
+    65536, unless given, and no more than there could be."""
     first, second = capacities(grid, pairs)
     some = {key: grid.attrs[key] for key in ("views", "face_count", "bins_x", "bins_y")}
     words = apply("bin_words", boxes, **grid.attrs)
@@ -391,11 +393,13 @@ def bin_faces(boxes: Node, grid: Grid, pairs: int | None = None) -> Binned:
     bases, room = exclusive_scan(sizes), 2 * first + SIDE * SIDE * sizes.extent.count
     last = constant_table(np.array([sizes.extent.count - 1]))
     needed = apply("lookup", bases, last) + apply("lookup", sizes, last)
-    words = apply("tile_words", boxes, faces, ranges, bases, slots=room, **grid.attrs)
+    words = apply("tile_words", apply("lookup", boxes, faces), ranges, bases, slots=room, **grid.attrs)
     starts = exclusive_scan(apply("bit_count", words))
     total = _total(words, starts)
     spilled = apply("bit_or", needed > room, total > second)
-    listed = apply("tile_list", words, starts, spilled, total, faces, ranges, bases, slots=second, bins=sizes.extent.count)
+    drawn = apply("select", spilled, first, total)
+    listed = apply("tile_list", words, starts, spilled, total, faces, ranges, bases, drawn, slots=second, bins=sizes.extent.count,
+                   partial=boxes.serial)
     where = apply("tile_ranges", starts, spilled, total, ranges, bases, tiles_x=grid.tiles[0], tiles_y=grid.tiles[1],
                   **{key: some[key] for key in ("views", "bins_x", "bins_y")})
     assert spilled.extent == UNIT

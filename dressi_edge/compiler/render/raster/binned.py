@@ -12,11 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from ....cache.errors import InputError
-from ...graph.functions import absolute, apply, clamp, compose, lookup, select
+from ...graph.functions import absolute, apply, clamp, compose, constant_table, lookup, select
 from ...graph.ir import UNIT, Node, table
 from ...graph.ops.bins import Binned as Lists
 from ...graph.ops.bins import Grid, bin_faces
 from ...graph.ops.soft import LEAST, listed_attrs, pair_attrs
+from ...graph.optable import as_node
 from ..atlas import Atlas
 from ..camera import ViewTable
 from ..topology import Topology
@@ -69,7 +70,8 @@ class BinnedFragments(Fragments):
         self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
         self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
                      "face_count": len(topology.faces), "near": float(near), **self.cells}
-        self.grid = Grid(atlas.views, len(topology.faces), atlas.width, atlas.height, atlas.columns, settings.tile)
+        tile = settings.tile or (atlas.width, atlas.height)
+        self.grid = Grid(atlas.views, len(topology.faces), atlas.width, atlas.height, atlas.columns, tile)
         self.range, self.blend = span, None
         self.pair = pair_attrs(self.grid, settings.r, settings.width, settings.squared, settings.hard, span.nearest(near))
 
@@ -114,7 +116,11 @@ class BinnedFragments(Fragments):
 
     @cached_property
     def lists(self) -> Lists:
-        """Which faces come near each tile."""
+        """Which faces come near each tile; all of its view's where there are no tiles."""
+        if self.settings.tile is None:
+            views, n = self.grid.views, self.grid.faces
+            ranges = np.arange(views)[:, None] * n + (0, n)
+            return Lists(constant_table(np.arange(views * n)), constant_table(ranges), as_node(views * n), as_node(0))
         return bin_faces(self.boxes, self.grid, self.settings.pairs)
 
     @property
@@ -157,8 +163,8 @@ class Binned:
     r, sigma: in pixels (squared pixels where `squared`); sigma is r / 7 unless given, r^2 / 9.21 where `squared`. depth: (near, far) of the
     range in units of the scene, those of the cameras unless given. over: the faces' mean colour is laid over the background by alpha;
     else the background has a weight of its own, as in SoftRas and PyTorch3D. hard: only faces that cover the pixel count, with D = 1:
-    nothing is soft at outlines. tile: pixels of the tiles that have lists; pairs: places in the list, enough for 8 tiles a face unless
-    given. What does not fit is not left out: tiles then go through longer lists, slowly.
+    nothing is soft at outlines. tile: pixels of the tiles that have lists, None: each pixel goes through all faces; pairs: places in the
+    list, 16 a face of each view unless given. What does not fit is not left out: tiles then go through longer lists, slowly.
 
     Colours are worked out at the corners of faces and are linear on the face (Gouraud shading): exact for colours of vertices and corners,
     constant colours and normals "flat"; materials that read a texture or a pixel are refused. Raises InputError."""
@@ -170,7 +176,7 @@ class Binned:
     squared: bool = False
     over: bool = False
     hard: bool = False
-    tile: tuple[int, int] = (8, 8)
+    tile: tuple[int, int] | None = (8, 8)
     pairs: int | None = None
 
     def __post_init__(self) -> None:
@@ -184,8 +190,9 @@ class Binned:
             near, far = self.depth if isinstance(self.depth, tuple) and len(self.depth) == 2 else (math.nan, math.nan)
             if not (math.isfinite(near) and math.isfinite(far) and 0 <= near < far < 1e30 and far - near > 1e-6 * far):
                 raise InputError(f"Binned: depth is {self.depth!r:.40}; (near, far) with 0 <= near < far is needed")
-        if not (isinstance(self.tile, tuple) and len(self.tile) == 2 and all(type(x) is int and 1 <= x <= 64 for x in self.tile)):
-            raise InputError(f"Binned: tile is {self.tile!r:.40}; (width, height), each from 1 to 64 pixels, is needed")
+        sides = self.tile if isinstance(self.tile, tuple) else ()
+        if self.tile is not None and not (len(sides) == 2 and all(type(x) is int and 1 <= x <= 64 for x in sides)):
+            raise InputError(f"Binned: tile is {self.tile!r:.40}; (width, height), each from 1 to 64 pixels, or None is needed")
         if self.pairs is not None and (type(self.pairs) is not int or not 1 <= self.pairs < 1 << 26):
             raise InputError(f"Binned: pairs is {self.pairs!r:.40}; a whole number from 1 to {(1 << 26) - 1} is needed")
 
