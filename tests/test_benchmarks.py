@@ -14,6 +14,8 @@ from conftest import SHARED
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import asset_normals
+import binned
+import binned_fits
 import error_vs_time
 import geometry
 import metrics
@@ -242,3 +244,18 @@ def test_what_a_real_gpu_is_measured_with_runs_from_the_folder_alone(tmp_path):
     assert told["vectors"] and all(r["error"] is None and r["deviation"] <= 1 for r in told["vectors"])
     assert len(told["bundles"]) == 3 and all(b["losses"][1] < b["losses"][0] and b["ms"] > 0 for b in told["bundles"].values())
     assert told["profile"]["capabilities"]["captured"]
+
+
+def test_the_lists_that_binned_is_compared_with_hold_every_face_of_a_tile(tmp_path):
+    mesh = binned.sphere_of(300)
+    ranges, faces = binned.numpy_lists(np.asarray(mesh.positions), mesh.faces, 64, 2.05)
+    binned.main(["--quick", "--only", "r=2", "--json", str(tmp_path / "out.json")])
+    row = json.loads((tmp_path / "out.json").read_text())["results"][-1]
+    assert ranges[-1, 1] == len(faces) == row["pairs"] and row["ratio"] > 0 and row["faces"] == len(mesh.faces)
+
+
+@pytest.mark.full
+def test_binned_fits_quick(tmp_path):
+    binned_fits.main(["--quick", "--json", str(tmp_path / "out.json")])
+    rows = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert [row["case"] for row in rows] == ["outline", "face K=3", "binned"] and all(row["distance_20"] < 0.5 for row in rows)

@@ -194,6 +194,9 @@ def test_settings_that_mean_nothing_are_refused():
                         ({"tile": (0, 8)}, "tile is"), ({"pairs": 0}, "pairs is 0"), ({"r": 1e-7, "squared": True}, "sigma is")):
         with pytest.raises(InputError, match=says):
             Binned(**wrong)
+    faces = np.arange(93000).reshape(-1, 3)
+    with pytest.raises(InputError, match="through 31000 faces; at most 30000"):
+        dataclasses.replace(PLAIN, tile=None).draw(compose(0.0, 0.0, 0.5, 1.0), Topology(faces, 93000), Atlas(8, 8, 1, 1), 0.1, True)
     with pytest.raises(InputError, match="give depth="):
         drawn(Program(), [SCENES["acute"]], Binned())
 
@@ -313,6 +316,20 @@ with runtime.load(sys.argv[1]) as d:
 
 def test_runs_are_equal_to_the_bit_whatever_the_threads(tmp_path):
     assert len({python(FIT, tmp_path / "a.dressi", LP_NUM_THREADS=n) for n in ("0", "1", "2")}) == 1
+
+
+def test_a_face_of_more_pixels_than_a_loop_has_turns_keeps_its_gradient(gpu):
+    """llvmpipe ends loops after 65535 turns; the face's box has 80,000 pixels."""
+    square = Mesh(np.array([(-2.0, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)]), np.array([(0, 1, 2), (0, 2, 3)]))
+    s = Scene(orbit(1, [0], 3.0, 36, (400, 200)), BACK)
+    colors = s.parameter("colors", np.full((4, 3), 0.5))
+    s.add(square, material=Unlit(Vertex(colors)))
+    s.vjp("look", ["colors"], color=s.frame(Binned(1.0, hard=True)).color)
+    with runtime.load(gpu.compile(s.program), gpu.device) as d:
+        d.forward("look")
+        found = d.backward("look", color=np.ones((1, 200, 400, 3)))["colors"]
+    gpu.silent()
+    np.testing.assert_allclose(found.sum(0), 80000, rtol=1e-4)  # all pixels are covered, and each pixel's weights add up to 1
 
 
 def test_a_fit_learns_shape_and_colour(gpu):

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..ir import UNIT, Node, image
+from ..ir import UNIT, Extent, Node, image
 from ..optable import Loop, apply, at, op
 from . import soft_reference as reference
 from .bins import Grid, bin_faces
@@ -106,12 +106,14 @@ most_ = nearer_ ? z_ : most_;
 vec3 color_ = b_.x * {c0_at}(f_) + b_.y * {c1_at}(f_) + b_.z * {c2_at}(f_);
 """
 
-# Of a face, pixel by pixel of its box.
+# Of a face, pixel by pixel of that part of its box which lies in rows `low` to `high` of the cell.
 _OVER_BOX = """{ ivec4 box_ = {i} < {n} ? {boxes_at}({i}) : ivec4(0);
 int view_ = {i} / {face_count};
 vec2 center_ = vec2(ivec2(view_ % {columns}, view_ / {columns}) * ivec2({cell_w}, {cell_h})) + 0.5 * vec2(ivec2({cell_w}, {cell_h}));
 vec4 v0_ = {v0_at}({i}), v1_ = {v1_at}({i}), v2_ = {v2_at}({i});
 MORE
+int top_ = view_ / {columns} * {cell_h};
+box_.yw = clamp(box_.yw, top_ + {low}, top_ + {high});
 ivec2 p_ = ivec2(box_.x - 1, box_.y);
 for (;;) {
 if (++p_.x >= box_.z) { p_.x = box_.x; ++p_.y; }
@@ -189,7 +191,8 @@ def _over_pixels(vtype: str, tables: int):
 def _over_faces(vtype: str):
     def infer(name, inputs, attrs):
         _need_faces(name, inputs[:-2], 0, attrs)
-        return vtype, inputs[0].extent
+        e = inputs[0].extent
+        return vtype, Extent(e.width, e.height + attrs["band"], e.count)
     return infer
 
 
@@ -264,10 +267,27 @@ op("soft_boxes", "v0 v1 v2", attrs="reach " + _CELLS, infer=at(0, vtype="ivec4")
    doc="Half-open boxes of the pixels whose centres may be within `reach` of a face; empty where it is wholly behind or beside.")
 
 
+TURNS = 60000  # of the loops of one invocation: llvmpipe ends them, and says nothing, after 65535
+
+
+def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
+    """The sum over bands of rows, of so few pixels each that no loop over a face's box is too long. Each has another extent (one more row
+    of padding), for the turns of all loops of one shader count together."""
+    height = attrs["cell_h"]
+    rows = max(1, min(height, TURNS // attrs["cell_w"]))
+    found = None
+    for number, low in enumerate(range(0, height, rows)):
+        band = apply(name, *inputs, low=low, high=min(low + rows, height), band=number, **attrs)
+        band = apply("reshape", band, extent=inputs[0].extent) if number else band
+        found = band if found is None else found + band
+    return found
+
+
 def _alpha_vjp(g, y, v0, v1, v2, boxes, ranges, faces, **attrs):
     pair = {k: attrs[k] for k in _PAIR.split()}
     slope = g * (1.0 - y)
-    return (*(apply("soft_alpha_gradient", v0, v1, v2, boxes, slope, corner=k, **pair) for k in range(3)), None, None, None)
+    where = v0, v1, v2, boxes, slope
+    return (*(_by_bands("soft_alpha_gradient", where, corner=k, **pair) for k in range(3)), None, None, None)
 
 
 op("soft_alpha", "v0 v1 v2 boxes ranges faces", attrs=f"{_LISTED} {_PAIR}", infer=_over_pixels("float", 4), reads=" ".join(["texel"] * 6),
@@ -279,14 +299,16 @@ op("soft_alpha", "v0 v1 v2 boxes ranges faces", attrs=f"{_LISTED} {_PAIR}", infe
 
 def _alpha_gradient_sample(rng):
     arguments, attrs = _sample(False)(rng)
-    return [*arguments[:4], rng.normal(size=(11, 26, 1))], {**{k: attrs[k] for k in _PAIR.split()}, "corner": 1}
+    attrs = {k: attrs[k] for k in _PAIR.split()}
+    return [*arguments[:4], rng.normal(size=(11, 26, 1))], {**attrs, "corner": 1, "low": 2, "high": 9, "band": 0}
 
 
-op("soft_alpha_gradient", "v0 v1 v2 boxes slope", attrs=f"corner {_PAIR}", reads=" ".join(["texel"] * 5), infer=_over_faces("vec4"),
+op("soft_alpha_gradient", "v0 v1 v2 boxes slope", attrs=f"corner low high band {_PAIR}", reads=" ".join(["texel"] * 5),
+   infer=_over_faces("vec4"),
    ref=reference.soft_alpha_gradient, functions=FUNCTIONS, cost=2000, sample=_alpha_gradient_sample,
    loop=Loop(_ALPHA_GRADIENT, "{y} += " + _CORNER + ";", "} }"),
-   doc="Transpose of soft_alpha: for each face the gradient by one corner, over the pixels of its box. slope: the gradient by alpha times "
-       "1 - alpha.")
+   doc="Transpose of soft_alpha: for each face the gradient by one corner, over the pixels of its box in rows low to high of the cell; "
+       "`band` rows of padding. slope: the gradient by alpha times 1 - alpha.")
 
 for _name, _vtype, _body, _doc in (
         ("soft_sums", "vec4", "{y} = {y} * keep_ + w_ * vec4(color_, 1.0);",
@@ -320,8 +342,8 @@ def _blend_vjp(g, y, sums, most, background, v0, v1, v2, c0, c1, c2, boxes, gamm
         by_clear, by_background = g.w * (1.0 - alpha), color * (far / whole)
     slope = compose(inner.x, inner.y, inner.z, apply("dot", inner, mean) * -1.0)
     where = v0, v1, v2, c0, c1, c2, boxes, slope, compose(most.x, by_clear)
-    places = (apply("soft_place_gradient", *where, corner=k, gamma=gamma, **attrs) for k in range(3))
-    colors = (apply("soft_color_gradient", *where, corner=k, gamma=gamma, **attrs) for k in range(3))
+    places = (_by_bands("soft_place_gradient", where, corner=k, gamma=gamma, **attrs) for k in range(3))
+    colors = (_by_bands("soft_color_gradient", where, corner=k, gamma=gamma, **attrs) for k in range(3))
     return (None, None, by_background, *places, *colors, None)
 
 
@@ -362,14 +384,15 @@ def _blend_gradient_sample(rng):
     most = reference.soft_most(*arguments, **attrs)
     most[..., 1] = rng.normal(size=most.shape[:2])
     attrs = {k: attrs[k] for k in (_PAIR + " gamma").split()}
-    return [*arguments[:7], rng.normal(size=(11, 26, 4)), most], {**attrs, "corner": 2}
+    return [*arguments[:7], rng.normal(size=(11, 26, 4)), most], {**attrs, "corner": 2, "low": 2, "high": 9, "band": 0}
 
 
 for _name, _vtype, _body, _what in (("soft_place_gradient", "vec4", "{y} += " + _CORNER + ";", "place and depth"),
                                     ("soft_color_gradient", "vec3",
                                      "{y} += slope_.xyz * (w_ * ({corner} == 0 ? b_.x : {corner} == 1 ? b_.y : b_.z));", "colour")):
-    op(_name, "v0 v1 v2 c0 c1 c2 boxes slope most", attrs=f"corner {_PAIR} gamma", reads=" ".join(["texel"] * 9),
+    op(_name, "v0 v1 v2 c0 c1 c2 boxes slope most", attrs=f"corner low high band {_PAIR} gamma", reads=" ".join(["texel"] * 9),
        infer=_over_faces(_vtype), ref=getattr(reference, _name), functions=FUNCTIONS, cost=3000, sample=_blend_gradient_sample,
        loop=Loop(_BLEND_GRADIENT, _body, "} }"),
-       doc=f"Transpose of soft_blend: for each face the gradient by one corner's {_what}, over the pixels of its box. slope: by the sum of "
-           "colours and of weights; most: the largest depth, and the gradient by alpha times 1 - alpha.")
+       doc=f"Transpose of soft_blend: for each face the gradient by one corner's {_what}, over the pixels of its box in rows low to high "
+           "of the cell; `band` rows of padding. slope: by the sum of colours and of weights; most: the largest depth, and the gradient by "
+           "alpha times 1 - alpha.")

@@ -80,8 +80,9 @@ def _distance(a, b):
     return (foot * foot).sum(-1), t, foot
 
 
-def near_pairs(v0, v1, v2, boxes, cell_w, cell_h, columns, face_count, radius, sigma, squared, hard_only, nearest, **_) -> Pairs:
-    """All pairs of a pixel and a face in whose box it is and that is no more than `radius` away."""
+def near_pairs(v0, v1, v2, boxes, cell_w, cell_h, columns, face_count, radius, sigma, squared, hard_only, nearest, low=0, high=1 << 30,
+               **_) -> Pairs:
+    """All pairs of a pixel and a face in whose box it is and that is no more than `radius` away, in rows low to high of cells."""
     v, boxes = np.stack([x.reshape(-1, 4) for x in (v0, v1, v2)], 1), boxes.reshape(-1, 4)
     wide = boxes[:, 2:] - boxes[:, :2]
     face = np.repeat(np.arange(len(boxes)), wide.prod(1))
@@ -109,6 +110,7 @@ def near_pairs(v0, v1, v2, boxes, cell_w, cell_h, columns, face_count, radius, s
     foot, along = np.stack([x[2] for x in rows], 1)[pick], np.stack([x[3] for x in rows], 1)[pick]
     d = np.sqrt(d2)
     keep = hard if hard_only else hard | (d <= radius)
+    keep &= (ys % cell_h >= low) & (ys % cell_h < high)
     sign = np.where(hard, 1.0, -1.0)
     s = sign * (d2 if squared else d) / sigma
     e = np.exp(-np.abs(s))
@@ -199,10 +201,11 @@ def _corner_gradient(p: Pairs, gs, gw):
     return out
 
 
-def _by_face(p: Pairs, values, like):
-    out = np.zeros((like.shape[0] * like.shape[1], values.shape[1]))
+def _by_face(p: Pairs, values, like, band):
+    height, width = like.shape[0] + band, like.shape[1]
+    out = np.zeros((height * width, values.shape[1]))
     np.add.at(out, p.face, values)
-    return out.reshape(*like.shape[:2], -1)
+    return out.reshape(height, width, -1)
 
 
 def soft_blend(sums, most, background, *_, gamma, base, over, **attrs):
@@ -215,11 +218,11 @@ def soft_blend(sums, most, background, *_, gamma, base, over, **attrs):
     return np.concatenate([(sums[..., :3] + far * background) / (weight + far), most[..., 1:]], 2)
 
 
-def soft_alpha_gradient(v0, v1, v2, boxes, slope, corner, **attrs):
+def soft_alpha_gradient(v0, v1, v2, boxes, slope, corner, band, **attrs):
     """By one corner. slope: the gradient by alpha times what is clear."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
     g = _corner_gradient(p, slope[p.ys, p.xs, 0] * p.probability, np.zeros((len(p.face), 3)))
-    return _by_face(p, g[:, corner], v0)
+    return _by_face(p, g[:, corner], v0, band)
 
 
 def _of_pixel(p: Pairs, slope, most, gamma):
@@ -228,7 +231,7 @@ def _of_pixel(p: Pairs, slope, most, gamma):
     return slope[p.ys, p.xs], most[:, 1], p.probability * np.exp(np.minimum((p.depth - most[:, 0]) / gamma, 0))
 
 
-def soft_place_gradient(v0, v1, v2, c0, c1, c2, boxes, slope, most, corner, gamma, **attrs):
+def soft_place_gradient(v0, v1, v2, c0, c1, c2, boxes, slope, most, corner, gamma, band, **attrs):
     """By the place of one corner."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
     slope, by_clear, w = _of_pixel(p, slope, most, gamma)
@@ -237,11 +240,11 @@ def soft_place_gradient(v0, v1, v2, c0, c1, c2, boxes, slope, most, corner, gamm
     gz = np.where(p.held, 0, by_weight * w / gamma)
     g = _corner_gradient(p, by_weight * w * p.clear + by_clear * p.probability, gw * w[:, None] + gz[:, None] * p.corners[..., 3])
     g[..., 3] = gz[:, None] * p.weights
-    return _by_face(p, g[:, corner], v0)
+    return _by_face(p, g[:, corner], v0, band)
 
 
-def soft_color_gradient(v0, v1, v2, c0, c1, c2, boxes, slope, most, corner, gamma, **attrs):
+def soft_color_gradient(v0, v1, v2, c0, c1, c2, boxes, slope, most, corner, gamma, band, **attrs):
     """By the colour of one corner."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
     slope, _, w = _of_pixel(p, slope, most, gamma)
-    return _by_face(p, slope[:, :3] * (w * p.weights[:, corner])[:, None], c0)
+    return _by_face(p, slope[:, :3] * (w * p.weights[:, corner])[:, None], c0, band)

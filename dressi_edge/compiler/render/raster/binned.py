@@ -16,7 +16,7 @@ from ...graph.functions import absolute, apply, clamp, compose, constant_table, 
 from ...graph.ir import UNIT, Node, table
 from ...graph.ops.bins import Binned as Lists
 from ...graph.ops.bins import Grid, bin_faces
-from ...graph.ops.soft import LEAST, listed_attrs, pair_attrs
+from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
 from ...graph.optable import as_node
 from ..atlas import Atlas
 from ..camera import ViewTable
@@ -70,6 +70,9 @@ class BinnedFragments(Fragments):
         self.cells = {"cell_w": atlas.width, "cell_h": atlas.height, "columns": atlas.columns}
         self.draw = {"extent": atlas.extent, "views": atlas.views, "vertices": topology.vertex_count,
                      "face_count": len(topology.faces), "near": float(near), **self.cells}
+        if settings.tile is None and len(topology.faces) > TURNS // 2:
+            raise InputError(f"Binned: without tiles each pixel goes through {len(topology.faces)} faces; at most {TURNS // 2} are "
+                             "allowed, for some drivers end loops of more than 65535 turns: give a tile")
         tile = settings.tile or (atlas.width, atlas.height)
         self.grid = Grid(atlas.views, len(topology.faces), atlas.width, atlas.height, atlas.columns, tile)
         self.range, self.blend = span, None
