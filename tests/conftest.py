@@ -27,3 +27,10 @@ def own_ops():
     yield
     for name in set(OPS) - before:
         del OPS[name]
+
+
+@pytest.fixture(autouse=True)
+def patience(request, monkeypatch):
+    """On a slow machine commands say every two seconds what they are at; what else they say is compared without that."""
+    if "test_run" not in request.module.__name__:
+        monkeypatch.setattr("dressi_edge.commands.progress.SILENCE", 600.0)

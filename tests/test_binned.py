@@ -15,8 +15,9 @@ from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, compose, dot, lookup, total
 from dressi_edge.compiler.graph.ir import table
-from dressi_edge.compiler.graph.ops import bins
-from dressi_edge.compiler.graph.ops.bins import Grid, bin_faces
+from dressi_edge.compiler.graph.ops import tile_lists
+from dressi_edge.compiler.graph.ops.bins import Grid
+from dressi_edge.compiler.graph.ops.tile_lists import bin_faces
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.topology import Topology
@@ -229,9 +230,9 @@ def test_lists_hold_every_face_of_a_tile_in_order(gpu, monkeypatch, first, secon
     boxes = np.where(rng.random((300, 1)) < 0.1, 0, np.concatenate([lo + corner, hi + corner], 1))
     expected = lists_of(boxes, grid)
     if first is not None:
-        monkeypatch.setattr(bins, "capacities", lambda *_: (max(first, 300), 300))
+        monkeypatch.setattr(tile_lists, "capacities", lambda *_: (max(first, 300), 300))
     elif second is not None:
-        monkeypatch.setattr(bins, "capacities", lambda *_: (3000, 3000))
+        monkeypatch.setattr(tile_lists, "capacities", lambda *_: (3000, 3000))
     program = Program()
     found = bin_faces(program.input("boxes", Layout("table", "ivec4", count=300), boxes), grid)
     count = found.faces.extent.count
@@ -269,7 +270,7 @@ def test_a_list_without_room_changes_no_bit(gpu, monkeypatch):
     found = []
     for room in (None, (2000, 2000)):
         if room:
-            monkeypatch.setattr(bins, "capacities", lambda *_: room)  # noqa: B023
+            monkeypatch.setattr(tile_lists, "capacities", lambda *_: room)  # noqa: B023
         s, f = painted(Binned(3.0, gamma=1e-3))
         s.vjp("look", ["vertices", "colors"], color=f.color, alpha=f.alpha)
         s.output("lists", spilled=f.fragments.lists.spilled)

@@ -24,7 +24,17 @@ TABLES = {("texture_bins", "ordered"), ("slot_of", "entries"), ("slot_of", "runn
 # Inputs of which others promise something (which places of a list are in use, where pixels lie that name an entry): with others in their
 # place that is broken, and the result open.
 PROMISES = {("capsule_sum", "segment"), ("capsule_sum", "center"), ("segment_sum", "bins"), ("gather_listed", "x"),
-            ("sample_listed", "entries")}
+            ("sample_listed", "entries"),
+            *((name, param) for name, params in (("bin_ranges", "starts spilled total"), ("bin_list", "words starts spilled total"),
+                                                 ("tile_words", "boxes ranges bases"), ("tile_ranges", "starts spilled total ranges bases"),
+                                                 ("tile_list", "words starts spilled total faces ranges bases"),
+                                                 ("listed_keys", "footprint entries total"), ("merge_listed", "total"),
+                                                 ("listed_bins", "ordered total"), ("mip_list", "ordered"),
+                                                 ("soft_alpha", "faces"), ("soft_sums", "faces"), ("soft_most", "faces"),
+                                                 ("mip_refine_transposed", "g"), ("mip_rows", "bins"),
+                                                 ("soft_alpha_gradient", "slope"), ("soft_place_gradient", "slope"),
+                                                 ("soft_color_gradient", "slope"))
+              for param in params.split())}
 
 
 def data_of(argument):

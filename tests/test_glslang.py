@@ -24,13 +24,13 @@ def test_the_older_version_gives_the_same_bytes(program):
     texts = fragments(program)
     assert texts and all(text.startswith(spirv._VERSION) for text in texts)
     for text in texts:
-        quick = spirv._compile_as("frag", spirv._QUICK + text.removeprefix(spirv._VERSION))  # no error: all of it is there
+        quick = spirv._compile_as("frag", spirv._QUICK["frag"] + text.removeprefix(spirv._VERSION))  # no error: all of it is there
         assert quick == spirv._compile_as("frag", text)
 
 
 def test_what_is_new_in_4_50_compiles_as_that(monkeypatch):
     with pytest.raises(spirv.ShaderError):
-        spirv._compile_as("frag", spirv._QUICK + NEWER.removeprefix(spirv._VERSION))
+        spirv._compile_as("frag", spirv._QUICK["frag"] + NEWER.removeprefix(spirv._VERSION))
     assert spirv._compile(("frag", NEWER)) == spirv._compile_as("frag", NEWER)
 
 

@@ -173,7 +173,7 @@ def test_shaders_are_judged_alike(player):
     compute = [test_spirv.COMPUTE, *(test_spirv.COMPUTE.replace(*row[:2]) for row in test_spirv.DIFFERENTLY.values())]
     same_judgement_of_shaders(player, map(test_spirv.assemble, compute), True)
     refused, accepted = same_judgement_of_shaders(player, damaged_shaders(5, 300, True), True)
-    assert refused > 150 and accepted > 2
+    assert refused > 150 and accepted > 0
     refused, accepted = same_judgement_of_shaders(player, damaged_shaders(3, 800))
     assert refused > 500 and accepted > 2
 

@@ -121,7 +121,7 @@ def test_every_raster_op_has_a_reference():
 # The session
 
 
-ON_DEVICES = {"checkpoint", "restore", "profile_stages"}  # what a session has beyond this one
+ON_DEVICES = {"checkpoint", "restore", "profile_stages", "pictures"}  # what a session has beyond this one
 
 
 @pytest.fixture

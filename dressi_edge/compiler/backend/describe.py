@@ -17,7 +17,7 @@ from ..graph.program import Program
 from ..passes.plans import PackedPlan
 from ..passes.substage import KEPT, Stage, Substage
 from .allocate import Allocation, Image, PlacedPlan, PlacedStage, is_copy
-from .emit import ATTACHMENT, SAMPLER, Binding, Code, DrawCode
+from .code import ATTACHMENT, SAMPLER, Binding, Code, DrawCode
 
 LARGE_ZERO = 1 << 16  # bytes from which a state that starts with zeros is not in the file
 

@@ -1,14 +1,12 @@
 """A substage to GLSL: one vertex and one fragment shader a draw, or one compute shader, and what they bind.
 
 In: packed stages with their domains, the profile. Out: `Code` of each substage: shader texts and bindings in order. Names are local
-numbers, so equal substages
-give equal text and share one module. Ops whose loop headers come out equal share one loop.
+numbers, so equal substages give equal text and share one module. Ops whose loop headers come out equal share one loop.
 """
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 from ...cache.profile import Profile
 from ..graph.formats import format_of
@@ -17,8 +15,7 @@ from ..graph.ops.leaf import literal_glsl
 from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
 from ..passes.compute import NARROW, groups, local_size, spread
 from ..passes.substage import KEPT, LISTED, TEXELS, TILES, Stage, Substage, merged_reads
-
-SAMPLED, SAMPLER, ATTACHMENT = "sampled", "sampler", "attachment"
+from .code import ATTACHMENT, SAMPLED, SAMPLER, Binding, Code, DispatchCode, DrawCode
 
 # layout qualifiers of storage images
 _STORED = {"R32_SFLOAT": "r32f", "R32_SINT": "r32i", "R32G32B32A32_SFLOAT": "rgba32f", "R32G32B32A32_SINT": "rgba32i",
@@ -46,34 +43,6 @@ vec2 high = vec2((last ? full + 1 : full) * {column}, last ? (rest + {column} - 
 """ + _CORNER + _PLACE
 
 
-@dataclass(frozen=True)
-class Binding:
-    """One descriptor: the node's image, how it is bound, in which shader stages; for samplers the wrap."""
-
-    node: Node
-    kind: str
-    vertex: bool
-    fragment: bool
-    wrap: str = ""
-
-
-@dataclass(frozen=True)
-class DrawCode:
-    """One draw of a substage. `vertices` invocations; `views` instances over the atlas cells (`cell` = width, height, columns).
-    `count`: the node whose last texel says how many of the vertices there are to draw. `grid`: it relies on the grid to which devices
-    round corners, which is the profile's subPixelPrecisionBits."""
-
-    vertex: str
-    fragment: str
-    vertices: int
-    views: int = 1
-    cell: tuple[int, int, int] | None = None
-    depth: bool = False
-    topology: str = "triangles"
-    count: Node | None = None
-    grid: bool = False
-
-
 class _Names(dict):
     """What a snippet may ask for; `asked`: that it asked for the grid of corners."""
 
@@ -86,32 +55,6 @@ class _Names(dict):
             raise KeyError(key)
         self.asked = True
         return self.snap
-
-
-@dataclass(frozen=True)
-class DispatchCode:
-    """A dispatch: its shader, which binds the outputs after all others, and how many workgroups there are. clear: what the outputs are
-    before."""
-
-    shader: str
-    groups: tuple[int, int, int]
-    clear: int | None = None
-
-
-@dataclass(frozen=True)
-class Code:
-    """The draws or the dispatch of a substage and the images they bind, in binding order."""
-
-    draws: tuple[DrawCode, ...]
-    bindings: tuple[Binding, ...]
-    dispatch: DispatchCode | None = None
-
-    @property
-    def shaders(self) -> tuple[tuple[str, str], ...]:
-        """("vert", "frag" or "comp", text) of each."""
-        if self.dispatch:
-            return (("comp", self.dispatch.shader),)
-        return tuple(shader for d in self.draws for shader in (("vert", d.vertex), ("frag", d.fragment)))
 
 
 def _mark(text: str, names: dict) -> str:

@@ -81,7 +81,8 @@ def _in_few_tiles(n: Node) -> bool:
 def in_its_tiles(n: Node, leaf: Node, keep: Callable[[Node], Node]) -> Node:
     """What a plan reads in place of n, which is kept in a leaf: where n is nothing outside of some tiles, so is that, and readers need not
     be drawn there either."""
-    return apply("inside_tiles", leaf, keep(_tiles(n)), tile=n.attrs["tile"]) if _in_few_tiles(n) and n.op.name == "inside_tiles" else leaf
+    gate = [n.op.read(k) for k in range(len(n.inputs))] == [OWN, TILE]
+    return apply("inside_tiles", leaf, keep(_tiles(n)), tile=n.attrs["tile"]) if gate and _in_few_tiles(n) else leaf
 
 
 def apart(roots: Sequence[Node], moving: Collection[Node]) -> list[Node]:

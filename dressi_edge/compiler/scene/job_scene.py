@@ -20,8 +20,7 @@ from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
-from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of, origin_of
-from ..io.views import Views
+from ..io.mesh import Mesh, linear_mesh, middle_of, origin_of
 from ..render import loss as losses
 from ..render.brdf import LEAST_ROUGHNESS
 from ..render.environment import Environment
@@ -36,6 +35,7 @@ from ..render.raster import Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import Tone, encode_srgb
 from . import sense
+from .job_part import COLORS, MATERIALS, NUMBERS, PartTable, part_of
 from .limits import fits_views
 from .pieces import frame_meta, record
 from .scene import ORDERS, Scene
@@ -47,7 +47,6 @@ from .sections import (
     SOFT,
     environment_of,
     light_of,
-    mesh_of,
     no_points_in,
     optimizer_of,
     schedule_of,
@@ -59,12 +58,7 @@ from .sections import (
 from .tables import Table
 from .targets import Carried, Targets, at_once, targets_of, windowed
 
-MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
-             "pbr": ("color", "roughness", "metallic", "emissive")}
 KINDS = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong, "pbr": PBR}
-NUMBERS = {"specular": (0.3, 0.0), "gloss": (20.0, 1.0), "roughness": (0.5, 0.0, 1.0), "metallic": (0.0, 0.0, 1.0)}  # default, limits
-MAPS = ("roughness", "metallic")  # which may be a texture
-COLORS = ("texture", "colors")
 POSES = ("rotation", "translation", "scale")
 NORMS = {"l1": losses.l1, "l2": losses.l2, "huber": losses.huber, "ssim": losses.ssim_loss, "pyramid": losses.pyramid_l1}
 OF_IMAGES = ("silhouette", "color")
@@ -108,21 +102,6 @@ class SceneJob:
 
 
 @dataclass(frozen=True)
-class _PartTable:
-    """[[part]], read."""
-
-    table: Table
-    name: str
-    load: Callable[[Callable[[], Views]], Mesh]
-    normals: str | None
-    kind: str
-    settings: dict
-    texture_size: tuple[int, int]
-    wrap: str | None
-    pose: dict
-
-
-@dataclass(frozen=True)
 class _Term:
     table: Table
     kind: str
@@ -148,7 +127,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
                 told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
     job = Table(document, "", ("part", "views", "render", "light", "environment", "phase"), str(path))
-    parts = [_part(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
+    parts = [part_of(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
     if not parts:
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
     if twice := [p.name for k, p in enumerate(parts) if p.name in [q.name for q in parts[:k]]]:
@@ -213,7 +192,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
                     {"render.color": "render.view"} if one else {})
 
 
-def _placed(p: _PartTable, mesh: Mesh) -> Mesh:
+def _placed(p: PartTable, mesh: Mesh) -> Mesh:
     """The mesh where the part's own pose puts it (`_Builder._positions`)."""
     middle = middle_of(mesh.positions)
     turned = (mesh.positions - middle) @ rotation_matrix(p.pose.get("rotation", np.zeros(3))).T * p.pose.get("scale", 1.0)
@@ -226,41 +205,11 @@ def _together(meshes: Sequence[Mesh]) -> Mesh:
     return Mesh(np.concatenate([m.positions for m in meshes]), np.concatenate([m.faces + k for m, k in zip(meshes, first)]))
 
 
-def _known(scene: Scene, parts: Sequence[_PartTable]) -> list[str]:
+def _known(scene: Scene, parts: Sequence[PartTable]) -> list[str]:
     """The names of all that may be optimized."""
     of_parts = [f"{p.name}.{key}" for p in parts for key in ("vertices", *POSES, *(k for k in MATERIALS[p.kind] if k != "color"))]
     of_picture = ["exposure"] if isinstance(scene.encode, Tone) else []
     return sorted({*scene.parameters, *of_parts, *of_picture, "camera.rotation", "camera.translation"})
-
-
-def _part(t: Table, folder: Path) -> _PartTable:
-    name = t.word("name")
-    if not name.replace("_", "").isalnum():
-        raise t.wrong("name", name, "letters, digits and _ are allowed")
-    material = t.table("material", ("kind", "color", "texture_size", "wrap", "two_sided", *NUMBERS, "emissive")) if t.has("material") else \
-        Table({}, f"{t.where}.material", (), t.source)
-    kind = material.word("kind", "unlit", tuple(MATERIALS))
-    lit = () if kind == "unlit" else ("two_sided",)
-    if wrong := [key for key in material.has(*NUMBERS, "emissive", "two_sided") if key not in (*MATERIALS[kind], *lit)]:
-        raise material.conflict(f"{wrong[0]} is no setting of {kind}; drop it")
-    color = material.get("color", None)
-    if isinstance(color, list):
-        color = material.numbers("color", 3, low=0, high=1)
-    elif color is not None:
-        color = material.word("color", allowed=COLORS)
-    settings = {"color": color}
-    for key in NUMBERS.keys() & {*MATERIALS[kind]}:
-        default, *limits = NUMBERS[key]
-        mapped = key in MAPS and material.get(key, None) == "texture"
-        settings[key] = "texture" if mapped else material.number(key, default, *limits)
-    if kind == "pbr":
-        settings["emissive"] = material.numbers("emissive", 3, (0.0, 0.0, 0.0), low=0)
-    if lit:
-        settings["two_sided"] = material.flag("two_sided", False)
-    pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}
-    pose |= {"scale": t.number("scale", low=0.0, above=True)} if t.has("scale") else {}
-    return _PartTable(t, name, mesh_of(t, folder), t.word("normals", None, NORMALS), kind, settings,
-                      material.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True), material.word("wrap", None, WRAPS), pose)
 
 
 def _flat(optimize: dict) -> dict:
@@ -310,7 +259,7 @@ class _Builder:
     decode: bool
     surroundings: Environment | None
 
-    def part(self, p: _PartTable, mesh: Mesh) -> Part:
+    def part(self, p: PartTable, mesh: Mesh) -> Part:
         if self.decode:
             mesh = linear_mesh(mesh)
         positions, moved = self._positions(p, mesh)
@@ -328,7 +277,7 @@ class _Builder:
             raise InputError("normals are \"file\", which do not turn with a part that moves; use flat or smooth")
         return self.scene.add(mesh, positions, make(**settings), p.name, normals)
 
-    def _setting(self, p: _PartTable, mesh: Mesh, key: str):
+    def _setting(self, p: PartTable, mesh: Mesh, key: str):
         """A setting of a part's material: numbers, or the parameter of that name if it is optimized, or a texture."""
         name, value = f"{p.name}.{key}", p.settings[key]
         if value == "texture":
@@ -346,7 +295,7 @@ class _Builder:
         low, high = LIMITS[name.rpartition(".")[2]]
         return self.scene.parameter(name, value, low, high)
 
-    def _positions(self, p: _PartTable, mesh: Mesh) -> tuple[Node, bool]:
+    def _positions(self, p: PartTable, mesh: Mesh) -> tuple[Node, bool]:
         """Where the part's vertices are, and whether anything moves them."""
         name, start = p.name, {"rotation": np.zeros(3), "translation": np.zeros(3), "scale": 1.0, **p.pose}
         free = f"{name}.vertices" in self.optimized
@@ -357,7 +306,7 @@ class _Builder:
               for key, value in start.items()}
         return similarity(x, at["rotation"], at["translation"], at["scale"], middle_of(mesh.positions)), True
 
-    def _color(self, p: _PartTable, mesh: Mesh):
+    def _color(self, p: PartTable, mesh: Mesh):
         named, color = p.name + ".", p.settings["color"]
         if color is None:
             color = next((key for key in COLORS if named + key in self.optimized), None)
@@ -375,7 +324,7 @@ class _Builder:
             return Vertex(own) if mesh.color_faces is None else Corner(own, mesh.color_faces)
         return self._number(f"{named}color", color or (0.5, 0.5, 0.5))
 
-    def _lights(self, p: _PartTable) -> list[Light]:
+    def _lights(self, p: PartTable) -> list[Light]:
         """The lights, of which every part that is lit shares the parameters."""
         if not self.lights and (p.kind != "pbr" or self.surroundings is None):
             raise InputError(f"material.kind is {p.kind!r}, but there is no [[light]]; give at least one")

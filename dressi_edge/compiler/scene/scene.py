@@ -17,20 +17,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...cache.errors import DressiError, InputError
-from ...cache.layout import Layout, beyond_fp32
+from ...cache.layout import Layout
 from ...cache.profile import Profile
 from ..graph.autodiff import gradients
 from ..graph.functions import apply, compose, constant, constant_table, dot, lookup, total
 from ..graph.ir import UNIT, Node, topological
 from ..graph.program import Program
-from ..graph.reference import evaluate
 from ..io.cameras import Camera
-from ..io.mesh import middle_of
 from ..io.meshes import Mesh
 from ..render.atlas import Atlas
 from ..render.camera import fixed_views, posed_views
@@ -45,22 +43,11 @@ from ..render.schedule import Schedule
 from ..render.shadow import Deferred, ShadowMap, shadow_map
 from .layouts import layout_for, layout_of, pictures_layout
 from .limits import fits_program, profiles_of
+from .values import Parameter, ball_around, numbers
 from .where import caller, place
 
 ORDERS = ("batch", "cycle", "shuffle")
 ROUNDS = 64  # of a shuffle, before it begins again
-
-
-@dataclass(frozen=True, eq=False)
-class Parameter:
-    """What can be optimized: its node, limits of its numbers, which entries are free to move (1) and which stay (0), and where it was
-    said to be one."""
-
-    node: Node
-    low: float | None
-    high: float | None
-    free: Node | None
-    where: str
 
 
 class Scene:
@@ -94,13 +81,13 @@ class Scene:
         """A value that phases may optimize, by its start: a number, a vector, a table (n, c) or an image (h, w, c); `kind` says which where
         a shape could be either (`layouts.layout_of`). Every update keeps it within [low, high]. free: an array of its shape without the
         channels, 1 where an entry may move and 0 where it stays."""
-        value, where = self._array(f"parameter {name}", value), caller()
+        value, where = numbers(f"parameter {name}", value), caller()
         layout = layout_of(value.shape, self.atlas, f"parameter {name}", kind)
         if low is not None and high is not None and not low < high:
             raise InputError(f"parameter {name}: its limits are {low} to {high}; the first must be below the second")
         mask = None
         if free is not None:
-            free = self._array(f"parameter {name}: free", free)
+            free = numbers(f"parameter {name}: free", free)
             single = layout_of(free.shape, self.atlas, f"parameter {name}: free", kind or layout.kind.replace("atlas", "pictures"))
             if single.size != layout.size or single.vtype != "float" or not np.isin(free, (0.0, 1.0)).all():
                 raise InputError(f"parameter {name}: free has shape {free.shape}; zeros and ones, one for each entry, are needed")
@@ -116,28 +103,14 @@ class Scene:
         if value is None and shape is None:
             raise InputError(f"input {name}: a value to start with, or a shape, is needed")
         if value is not None:
-            value = self._array(f"input {name}", value, integer)
+            value = numbers(f"input {name}", value, integer)
         layout = layout_of(value.shape if value is not None else tuple(shape), self.atlas, f"input {name}", kind, integer)
         return self.program.input(name, layout, value, narrow)
-
-    @staticmethod
-    def _array(who: str, value, integer: bool = False) -> np.ndarray:
-        try:
-            array = np.asarray(value, None if integer else float)
-        except (TypeError, ValueError):
-            raise InputError(f"{who} is {value!r:.60}; numbers are needed") from None
-        if integer and array.dtype.kind not in "biu":
-            raise InputError(f"{who} has type {array.dtype}; integers are needed")
-        if not np.isfinite(array).all():
-            raise InputError(f"{who} has NaN or Inf in it; finite numbers are needed")
-        if not integer and beyond_fp32(array).any():
-            raise InputError(f"{who} has {np.abs(array).max():g} in it; numbers that are finite in fp32 are needed")
-        return array
 
     def padded(self, pictures: Sequence[np.ndarray], fill: float = 0.0) -> np.ndarray:
         """Pictures (h, w) or (h, w, c), each of its camera's size, as one array (views, height, width[, c]): each in the upper left corner
         of its view, `fill` beside it. Raises InputError."""
-        arrays = [self._array(f"picture {k}", x) for k, x in enumerate(pictures)]
+        arrays = [numbers(f"picture {k}", x) for k, x in enumerate(pictures)]
         if len(arrays) != len(self.cameras):
             raise InputError(f"{len(arrays)} pictures for {len(self.cameras)} cameras; one for each is needed")
         tail = arrays[0].shape[2:]
@@ -153,7 +126,7 @@ class Scene:
     def _background(self, background) -> Node:
         if isinstance(background, (list, tuple)) and any(np.ndim(x) > 1 for x in background):
             background = self.padded(background)
-        array = self._array("background", background)
+        array = numbers("background", background)
         if array.shape == (3,):
             return compose(*map(float, array))
         layout = layout_of(array.shape, self.atlas, "background", "pictures")
@@ -205,25 +178,16 @@ class Scene:
         if shadow is None:
             shadow = light.shadow if isinstance(light.shadow, Shadow) else Shadow()
         if ball is not None:
-            middle, radius = self._array("shadow: the middle of the ball", ball[0]), float(ball[1])
+            middle, radius = numbers("shadow: the middle of the ball", ball[0]), float(ball[1])
             if middle.shape != (3,) or not (np.isfinite(radius) and radius > 0.0):
                 raise InputError(f"shadow: ball is {ball!r:.60}; a middle of three numbers and a positive radius are needed")
             found = middle, radius
 
         def drawn() -> ShadowMap:
-            middle, radius = found or self._ball()
+            middle, radius = found or ball_around(self.parts, self.program)
             return shadow_map(light, shadow, lambda: Parts(tuple(self.parts)), middle, radius)
 
         return replace(light, shadow=Deferred(drawn))
-
-    def _ball(self) -> tuple[np.ndarray, float]:
-        """A quarter more than the ball around all vertices as they start."""
-        starts = {v.node.attrs["name"]: v.layout.to_image(v.initial, "start") for v in self.program.values.values()
-                  if v.initial is not None and v.node.op.held}
-        rows = evaluate([part.positions for part in self.parts], starts)
-        points = np.concatenate([x.reshape(-1, 3)[:len(part.mesh.positions)] for x, part in zip(rows, self.parts)])
-        middle = middle_of(points)
-        return middle, 1.25 * max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
 
     def step(self, phase: str) -> Node:
         """How many steps of a phase are done: an int of extent 1x1."""

@@ -88,8 +88,9 @@ def _pixels(rng):
 
 
 _SIZE = {"width": 13, "height": 6}
-op("mip_footprint", "uv lod covered", attrs="width height across wrap", infer=_footprint_infer, reads="texel texel texel", cost=60,
-   ref=_footprint_ref, glsl=_footprint_glsl, sample=lambda rng: (_pixels(rng), {**_SIZE, "across": 13, "wrap": ("repeat", "clamp")}),
+op("mip_footprint", "uv lod covered", alike=((1, 0), (2, 0)), attrs="width height across wrap", infer=_footprint_infer,
+   reads="texel texel texel", cost=60, ref=_footprint_ref, glsl=_footprint_glsl,
+   sample=lambda rng: (_pixels(rng), {**_SIZE, "across": 13, "wrap": ("repeat", "clamp")}),
    doc="Of both bilinear reads of each pixel: the number of the lower texel among all levels, as column and row of an image `across` "
        "wide, and the fractions towards the next, which wraps within its level; column -1 where nothing is read.")
 

@@ -265,6 +265,8 @@ def _slopes_ref(texture, half, rest, uv, lod, g, wrap):
 
 def _infer(name, inputs, attrs):
     texture, half, rest, uv, lod, _ = inputs
+    if max(texture.extent.width, texture.extent.height) < LEAST:
+        raise GraphError(f"{name}: mip levels of {texture!r}, {texture.extent}; at least {LEAST} texels on one side are needed")
     p = Pyramid(texture.extent.width, texture.extent.height)
     if uv.vtype != "vec2" or lod.vtype != "float":
         raise GraphError(f"{name}: vec2 coordinates and a float level of detail are needed, got {uv!r} and {lod!r}")
@@ -347,7 +349,7 @@ op("sample_mips", "texture half rest uv lod covered", attrs="wrap", infer=_infer
    sample=lambda rng: ([*_arguments(rng), rng.integers(0, 2, (6, 5, 1))], {"wrap": ("repeat", "clamp")}),
    doc="Trilinear sample of a texture with its mip levels at a level of detail, where `covered`; zero elsewhere.")
 op("mip_slopes", "texture half rest uv lod g", attrs="wrap", reads="texel texel texel own own own", cost=140, ref=_slopes_ref,
-   glsl=_slopes_glsl, infer=lambda name, inputs, attrs: ("vec3", common_extent(name, inputs[3:])),
+   glsl=_slopes_glsl, infer=lambda name, inputs, attrs: ("vec3", _infer(name, inputs, attrs)[1]),
    size=lambda node, sizes: sizes[0] + sizes[5] + (max(node.inputs[0].extent.width, node.inputs[0].extent.height) - 1).bit_length(),
    sample=lambda rng: ([*_arguments(rng), rng.normal(size=(6, 5, 3))], {"wrap": ("clamp", "repeat")}),
    doc="Derivatives of sample_mips by both coordinates and by the level of detail, times g.")

@@ -123,7 +123,7 @@ def _sums_ref(x, count):
 
 
 op("sum_chunks_shared", "x", stage="kernel", reads="texel", attrs="count", ref=_sums_ref, cost=200,
-   infer=lambda name, inputs, attrs: ("int", table(-(-attrs["count"] // SHARED_CHUNK))),
+   infer=lambda name, inputs, attrs: (_scan_infer(name, inputs, attrs)[0], table(-(-attrs["count"] // SHARED_CHUNK))),
    kernel=Kernel(_OWN + _UP + f"if (lane_ == 0 && group_ < {{whole}}) {{store}}(group_, part_[{LANES - 1}]);", _SHARED, LANES, 4 * LANES,
                  _whole),
    sample=lambda rng: ([to_table(rng.integers(-9, 9, 2500))], {"count": 2407}),

@@ -16,8 +16,9 @@ from ....cache.errors import GraphError
 from ..ir import UNIT, Extent, Node, image
 from ..optable import Loop, apply, at, op
 from . import soft_reference as reference
-from .bins import Grid, bin_faces
+from .bins import Grid
 from .lookup import constant_table, to_table
+from .tile_lists import bin_faces
 from .vector import compose
 
 LEAST, TINY = reference.LEAST, reference.TINY
@@ -251,7 +252,8 @@ def _boxes_sample(rng):
     return _corners(rng), {**{k: pair_attrs(_GRID, **_SOFT)[k] for k in _CELLS.split()}, "reach": 2.05}
 
 
-op("soft_boxes", "v0 v1 v2", attrs="reach " + _CELLS, infer=at(0, vtype="ivec4"), reads="texel texel texel", ref=reference.soft_boxes,
+op("soft_boxes", "v0 v1 v2", alike=((1, 0), (2, 0)), attrs="reach " + _CELLS, infer=at(0, vtype="ivec4"),
+   reads="texel texel texel", ref=reference.soft_boxes,
    functions=FUNCTIONS, cost=60, sample=_boxes_sample,
    glsl="""{ vec3 v0_ = {v0_at}({i}).xyz, v1_ = {v1_at}({i}).xyz, v2_ = {v2_at}({i}).xyz;
     vec4 s0_ = soft_clip(v0_, v1_), s1_ = soft_clip(v1_, v2_), s2_ = soft_clip(v0_, v2_);
@@ -303,8 +305,8 @@ def _alpha_gradient_sample(rng):
     return [*arguments[:4], rng.normal(size=(11, 26, 1))], {**attrs, "corner": 1, "low": 2, "high": 9, "band": 0}
 
 
-op("soft_alpha_gradient", "v0 v1 v2 boxes slope", attrs=f"corner low high band {_PAIR}", reads=" ".join(["texel"] * 5),
-   infer=_over_faces("vec4"),
+op("soft_alpha_gradient", "v0 v1 v2 boxes slope", alike=((1, 0), (2, 0), (3, 0)), attrs=f"corner low high band {_PAIR}",
+   reads=" ".join(["texel"] * 5), infer=_over_faces("vec4"),
    ref=reference.soft_alpha_gradient, functions=FUNCTIONS, cost=2000, sample=_alpha_gradient_sample,
    loop=Loop(_ALPHA_GRADIENT, "{y} += " + _CORNER + ";", "} }"),
    doc="Transpose of soft_alpha: for each face the gradient by one corner, over the pixels of its box in rows low to high of the cell; "
@@ -390,9 +392,9 @@ def _blend_gradient_sample(rng):
 for _name, _vtype, _body, _what in (("soft_place_gradient", "vec4", "{y} += " + _CORNER + ";", "place and depth"),
                                     ("soft_color_gradient", "vec3",
                                      "{y} += slope_.xyz * (w_ * ({corner} == 0 ? b_.x : {corner} == 1 ? b_.y : b_.z));", "colour")):
-    op(_name, "v0 v1 v2 c0 c1 c2 boxes slope most", attrs=f"corner low high band {_PAIR} gamma", reads=" ".join(["texel"] * 9),
-       infer=_over_faces(_vtype), ref=getattr(reference, _name), functions=FUNCTIONS, cost=3000, sample=_blend_gradient_sample,
-       loop=Loop(_BLEND_GRADIENT, _body, "} }"),
+    op(_name, "v0 v1 v2 c0 c1 c2 boxes slope most", alike=(*((k, 0) for k in range(1, 7)), (8, 7)),
+       attrs=f"corner low high band {_PAIR} gamma", reads=" ".join(["texel"] * 9), infer=_over_faces(_vtype), cost=3000,
+       ref=getattr(reference, _name), functions=FUNCTIONS, sample=_blend_gradient_sample, loop=Loop(_BLEND_GRADIENT, _body, "} }"),
        doc=f"Transpose of soft_blend: for each face the gradient by one corner's {_what}, over the pixels of its box in rows low to high "
            "of the cell; `band` rows of padding. slope: by the sum of colours and of weights; most: the largest depth, and the gradient by "
            "alpha times 1 - alpha.")

@@ -14,9 +14,10 @@ import numpy as np
 from ....cache.errors import InputError
 from ...graph.functions import absolute, apply, clamp, compose, constant_table, lookup, select
 from ...graph.ir import UNIT, Node, table
-from ...graph.ops.bins import Binned as Lists
-from ...graph.ops.bins import Grid, bin_faces
+from ...graph.ops.bins import Grid
 from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
+from ...graph.ops.tile_lists import Binned as Lists
+from ...graph.ops.tile_lists import bin_faces
 from ...graph.optable import as_node
 from ..atlas import Atlas
 from ..camera import ViewTable

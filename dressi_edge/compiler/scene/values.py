@@ -1,0 +1,52 @@
+"""What a scene keeps of its parameters, and what it asks of arrays that it is given."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...cache.errors import InputError
+from ...cache.layout import beyond_fp32
+from ..graph.ir import Node
+from ..graph.program import Program
+from ..graph.reference import evaluate
+from ..io.mesh import middle_of
+from ..render.part import Part
+
+
+@dataclass(frozen=True, eq=False)
+class Parameter:
+    """What can be optimized: its node, limits of its numbers, which entries are free to move (1) and which stay (0), and where it was
+    said to be one."""
+
+    node: Node
+    low: float | None
+    high: float | None
+    free: Node | None
+    where: str
+
+
+def numbers(who: str, value, integer: bool = False) -> np.ndarray:
+    """As an array of float64, or of integers. Raises InputError, with `who` in front."""
+    try:
+        array = np.asarray(value, None if integer else float)
+    except (TypeError, ValueError):
+        raise InputError(f"{who} is {value!r:.60}; numbers are needed") from None
+    if integer and array.dtype.kind not in "biu":
+        raise InputError(f"{who} has type {array.dtype}; integers are needed")
+    if not np.isfinite(array).all():
+        raise InputError(f"{who} has NaN or Inf in it; finite numbers are needed")
+    if not integer and beyond_fp32(array).any():
+        raise InputError(f"{who} has {np.abs(array).max():g} in it; numbers that are finite in fp32 are needed")
+    return array
+
+
+def ball_around(parts: Sequence[Part], program: Program) -> tuple[np.ndarray, float]:
+    """A quarter more than the ball around all vertices as they start."""
+    starts = {v.node.attrs["name"]: v.layout.to_image(v.initial, "start") for v in program.values.values()
+              if v.initial is not None and v.node.op.held}
+    rows = evaluate([part.positions for part in parts], starts)
+    points = np.concatenate([x.reshape(-1, 3)[:len(part.mesh.positions)] for x, part in zip(rows, parts)])
+    middle = middle_of(points)
+    return middle, 1.25 * max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
