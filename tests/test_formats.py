@@ -315,6 +315,7 @@ def test_the_object_is_brought_into_the_unit_ball(tmp_path, masks):
         assert (c.near, c.far) == (0.05, 100.0)
 
 
+@pytest.mark.full
 def test_results_of_a_job_in_the_unit_ball_are_in_the_frame_of_its_cameras(tmp_path):
     """From a COLMAP model in an arbitrary gauge to a mesh file there, on the command line."""
     (tmp_path / "images").mkdir()
