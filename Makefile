@@ -5,6 +5,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
+# Two processes, each with whole files of tests; WORKERS= for one.
+WORKERS ?= -n 2 --dist loadfile
 DRIVERS ?=
 APT_PACKAGES ?= mesa-vulkan-drivers libvulkan1 glslang-tools spirv-tools vulkan-validationlayers python3-venv \
     gcc libc6-dev libvulkan-dev
@@ -23,11 +25,11 @@ setup: $(READY)
 
 test: setup
 	$(VENV)/bin/ruff check
-	$(VENV)/bin/pytest -q $(if $(DRIVERS),-m 'not full and not android') $(ARGS)
+	$(VENV)/bin/pytest -q $(WORKERS) $(if $(DRIVERS),-m 'not full and not android') $(ARGS)
 
 test-full: setup
 	$(VENV)/bin/ruff check
-	$(VENV)/bin/pytest -q -m 'not drivers and not android' $(ARGS)
+	$(VENV)/bin/pytest -q $(WORKERS) -m 'not drivers and not android' $(ARGS)
 
 test-drivers: setup
 	$(VENV)/bin/pytest -q -m drivers tests/test_drivers.py $(ARGS)
