@@ -70,6 +70,19 @@ def default_folder() -> tuple[str | None, str]:
     return (None, "there is no home folder") if folder.startswith("~") else (folder, "")
 
 
+def kept_folder(name: str) -> str | None:
+    """A folder of that name in it, made where it is missing; None where nothing is to be kept, or nothing can be trusted."""
+    base, _ = default_folder()
+    if base is None:
+        return None
+    path = os.path.join(base, name)
+    try:
+        os.makedirs(path, mode=0o700, exist_ok=True)
+        return None if distrusted(path) else path
+    except OSError:
+        return None
+
+
 def _system_folder() -> str:
     """Where this system has the caches of a program."""
     base = os.environ.get("XDG_CACHE_HOME", "")

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..bridges.pure import Call, Pure
 from ..cache.errors import DressiError, InputError
-from ..cache.pipeline_cache import default_folder, distrusted
+from ..cache.pipeline_cache import kept_folder
 from ..cache.profile import Profile
 from ..runtime import load
 from ..runtime.device import Device
@@ -118,7 +118,7 @@ class Store:
             return primitive
 
     def _session(self, key: str, name: str, faces: np.ndarray | None, sizes: tuple, wanted: tuple[str, ...] | None):
-        folder = _folder()
+        folder = kept_folder("functions")
         path = None if folder is None else os.path.join(folder, f"{name}-{key}.dressi")
         if path is not None and os.path.exists(path):
             try:
@@ -141,19 +141,6 @@ class Store:
         with tempfile.TemporaryDirectory() as own:
             scene.compile(self.profile, os.path.join(own, "f.dressi"))
             return load(os.path.join(own, "f.dressi"), self.device)
-
-
-def _folder() -> str | None:
-    """Where bundles are kept, made where it is missing; None where nothing is to be kept, or nothing can be trusted."""
-    base, _ = default_folder()
-    if base is None:
-        return None
-    path = os.path.join(base, "functions")
-    try:
-        os.makedirs(path, mode=0o700, exist_ok=True)
-        return None if distrusted(path) else path
-    except OSError:
-        return None
 
 
 def _trim(folder: str) -> None:

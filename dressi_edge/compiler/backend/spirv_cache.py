@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from ...cache.errors import DressiError
 from ...cache.files import read_regular, replace_file
-from ...cache.pipeline_cache import default_folder, distrusted
+from ...cache.pipeline_cache import kept_folder
 
 MAX_BYTES = 1 << 22  # of one shader
 MAX_FOLDER_BYTES = 64 << 20
@@ -20,16 +20,8 @@ SUFFIX = ".spirv"
 
 
 def folder() -> str | None:
-    """Where shaders are kept, made where it is missing; None where nothing is to be kept, or nothing can be trusted."""
-    base, _ = default_folder()
-    if base is None:
-        return None
-    path = os.path.join(base, "shaders")
-    try:
-        os.makedirs(path, mode=0o700, exist_ok=True)
-        return None if distrusted(path) else path
-    except OSError:
-        return None
+    """Where shaders are kept; None where none are (`pipeline_cache.kept_folder`)."""
+    return kept_folder("shaders")
 
 
 def key(tools: Mapping[str, str], *words: str) -> str:

@@ -6,6 +6,7 @@ an image of height h has its centre at v = (j + 0.5) / h.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,6 +130,17 @@ def _indices(name: str, value: np.ndarray, count: int, of: str) -> np.ndarray:
         raise InputError(f"mesh {name}[{face}] is {array[face].tolist()}, but there are {count} {of}, 0 to {count - 1}; "
                          "repair or drop that face")
     return array
+
+
+def side_by_side(indices: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndarray:
+    """Indices into several arrays of so many entries as indices into these one after another."""
+    return np.concatenate([index + k for index, k in zip(indices, np.cumsum([0, *counts]))])
+
+
+def together(meshes: Sequence[Mesh]) -> Mesh:
+    """The vertices and faces of all, nothing else."""
+    return Mesh(np.concatenate([m.positions for m in meshes]),
+                side_by_side([m.faces for m in meshes], [len(m.positions) for m in meshes]))
 
 
 def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..graph.ir import Node
 from ..graph.ops.join import join
-from ..io.mesh import Mesh
+from ..io.mesh import Mesh, side_by_side
 from .material import Corner, Vertex
 from .part import Part
 
@@ -52,16 +52,11 @@ def _together(run: Sequence[Part], materials: bool) -> Part:
     for values, index in (("uvs", "uv_faces"), ("normals", "normal_faces")):
         if getattr(run[0].mesh, values) is not None and (values == "uvs" or run[0].normals == "file"):
             corners |= {values: np.concatenate([getattr(part.mesh, values) for part in run]),
-                        index: _offset([getattr(part.mesh, index) for part in run], [len(getattr(part.mesh, values)) for part in run])}
+                        index: side_by_side([getattr(part.mesh, index) for part in run], [len(getattr(part.mesh, values)) for part in run])}
     counts = [len(part.mesh.positions) for part in run]
-    mesh = Mesh(np.concatenate([part.mesh.positions for part in run]), _offset([part.mesh.faces for part in run], counts), **corners)
+    mesh = Mesh(np.concatenate([part.mesh.positions for part in run]), side_by_side([part.mesh.faces for part in run], counts), **corners)
     material = _joined([part.material for part in run], run) if materials else run[0].material
     return Part(" ".join(part.name for part in run), mesh, positions, material, run[0].normals)
-
-
-def _offset(indices: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndarray:
-    first = np.cumsum([0, *counts])
-    return np.concatenate([index + k for index, k in zip(indices, first)])
 
 
 def _joined(values: Sequence, run: Sequence[Part]):
@@ -86,7 +81,7 @@ def _joined(values: Sequence, run: Sequence[Part]):
             return Vertex(table)
         if any(np.shape(x.faces) != np.shape(part.mesh.faces) for x, part in zip(values, run)):
             raise _Unlike
-        return Corner(table, _offset([np.asarray(x.faces) for x in values], [t.extent.count for t in tables]))
+        return Corner(table, side_by_side([np.asarray(x.faces) for x in values], [t.extent.count for t in tables]))
     if isinstance(one, tuple | list):
         if any(len(x) != len(one) for x in values):
             raise _Unlike

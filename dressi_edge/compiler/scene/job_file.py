@@ -8,23 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ...cache.errors import InputError
 from ...cache.profile import Profile
-from ..graph.functions import compose
-from ..io.mesh import Mesh, middle_of
+from ..io.mesh import middle_of, together
 from ..io.meshes import load_parts
-from ..render.raster import renderer_of
 from ..render.tone import encode_srgb
 from . import sense
 from .file_scene import load_scene, names_of
-from .job_scene import SceneJob, add_phase, phase_of
+from .job_scene import SceneJob, add_phases, phase_of
 from .limits import fits_views
 from .scene import ORDERS
-from .sections import LIGHT, SHARP, SOFT, light_of, soft, softness_of, views_of
+from .sections import LIGHT, SOFT, light_of, soft, views_of
 from .tables import Table
-from .targets import Carried, at_once, targets_of, windowed
+from .targets import Carried, at_once
 
 
 def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
@@ -44,21 +40,12 @@ def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (
     if not phases:
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
     views = make_views()
-    first = np.cumsum([0, *(len(part.mesh.positions) for part in parts)])
-    whole = Mesh(np.concatenate([part.mesh.positions for part in parts]), np.concatenate([p.mesh.faces + k for p, k in zip(parts, first)]))
+    whole = together([part.mesh for part in parts])
     silhouettes = any(term.kind == "silhouette" for phase in phases for term in phase.terms)
     views_table.checked(sense.check, whole, views, silhouettes, "", True)
     views = views.linear() if linear else views
     scene = file.checked(load_scene, source, views.cameras, parameters=sorted({key for phase in phases for key in phase.optimize}),
                          lights=lights, mips=mips, background=background, encode=None if linear else encode_srgb)
     scene.program.meta.update(linear_albedo=True, linear_images=linear)
-    targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
-    side = max(scene.width, scene.height)
-    for phase in phases:
-        softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
-        phase.table.checked(add_phase, scene, phase, softness, order, seed, targets, background)
-    one = windowed(order, len(views), scene.width, scene.height, carried.whole)
-    seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
-    scene.output("render", color=compose(seen.color, seen.alpha))
-    return SceneJob(scene, views.names, tuple(map(float, middle_of(whole.positions))), {}, targets,
-                    {"render.color": "render.view"} if one else {})
+    targets, shown = add_phases(scene, views, phases, common, order, seed, carried, background)
+    return SceneJob(scene, views.names, tuple(map(float, middle_of(whole.positions))), {}, targets, shown)

@@ -20,7 +20,8 @@ from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import rotation_matrix
 from ..io.frame import recentred_parts
-from ..io.mesh import Mesh, linear_mesh, middle_of, origin_of
+from ..io.mesh import Mesh, linear_mesh, middle_of, origin_of, together
+from ..io.views import Views
 from ..render import loss as losses
 from ..render.brdf import LEAST_ROUGHNESS
 from ..render.environment import Environment
@@ -154,7 +155,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
 
     meshes, views = [p.load(make_views) for p in parts], make_views()
     job.checked(no_points_in, views, lights)
-    placed = _together([_placed(p, mesh) for p, mesh in zip(parts, meshes)])
+    placed = together([_placed(p, mesh) for p, mesh in zip(parts, meshes)])
     meshes, views, lights, origin = recentred_parts(meshes, views, lights, origin_of(placed.positions))
     placed = replace(placed, positions=placed.positions - origin)
     silhouettes = any(t.kind == "silhouette" for phase in phases for t in phase.terms)
@@ -179,17 +180,9 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         for key in phase.optimize:
             if key not in scene.parameters:
                 raise phase.table.conflict(f"optimize.{key} is no parameter of this job; there are: {' '.join(_known(scene, parts))}")
-    targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
-    side = max(scene.width, scene.height)
-    for phase in phases:
-        softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
-        phase.table.checked(add_phase, scene, phase, softness, order, seed, targets, background)
-    one = windowed(order, len(views), scene.width, scene.height, carried.whole)
-    seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
-    scene.output("render", color=compose(seen.color, seen.alpha))
+    targets, shown = add_phases(scene, views, phases, common, order, seed, carried, background)
     vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
-    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights, views.unit), targets,
-                    {"render.color": "render.view"} if one else {})
+    return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights, views.unit), targets, shown)
 
 
 def _placed(p: PartTable, mesh: Mesh) -> Mesh:
@@ -197,12 +190,6 @@ def _placed(p: PartTable, mesh: Mesh) -> Mesh:
     middle = middle_of(mesh.positions)
     turned = (mesh.positions - middle) @ rotation_matrix(p.pose.get("rotation", np.zeros(3))).T * p.pose.get("scale", 1.0)
     return replace(mesh, positions=middle + turned + p.pose.get("translation", np.zeros(3))) if p.pose else mesh
-
-
-def _together(meshes: Sequence[Mesh]) -> Mesh:
-    """All meshes as one."""
-    first = np.cumsum([0, *(len(m.positions) for m in meshes)])
-    return Mesh(np.concatenate([m.positions for m in meshes]), np.concatenate([m.faces + k for m, k in zip(meshes, first)]))
 
 
 def _known(scene: Scene, parts: Sequence[PartTable]) -> list[str]:
@@ -338,6 +325,21 @@ class _Builder:
             turn, shift = (self.scene.parameter(f"camera.{key}", zero, kind="table") for key in ("rotation", "translation"))
             self.scene.pose_cameras(turn, shift, middle)
         return middle
+
+
+def add_phases(scene: Scene, views: Views, phases: Sequence[_PhaseTable], common: dict, order: str, seed: int, carried: Carried,
+               background) -> tuple[Targets, dict[str, str]]:
+    """The phases of a job, and what draws its pictures; common: softness where a phase says none. The pictures, and of outputs that draw
+    one view the input that says which. Raises InputError."""
+    targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
+    side = max(scene.width, scene.height)
+    for phase in phases:
+        softness = phase.table.checked(softness_of, {**common, **phase.soft}, side)
+        phase.table.checked(add_phase, scene, phase, softness, order, seed, targets, background)
+    one = windowed(order, len(views), scene.width, scene.height, carried.whole)
+    seen = scene.frame(renderer_of(SHARP), view=scene.input("render.view", 0, integer=True) if one else None)
+    scene.output("render", color=compose(seen.color, seen.alpha))
+    return targets, {"render.color": "render.view"} if one else {}
 
 
 def add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
