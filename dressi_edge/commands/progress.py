@@ -57,7 +57,8 @@ class Events:
         """An event with its facts."""
         with self._lock:
             if event in ("phase", "step"):
-                self._what = {"what": f"{facts['phase']}: step {facts['done'] + 1} of {facts['steps']}"}
+                name, done, steps = facts["phase"], facts["done"], facts["steps"]
+                self._what = {"what": f"{name}: step {done + 1} of {steps}" if done < steps else f"results of {name}"}
                 self._began = time.monotonic()
             self._send(event, facts)
 
