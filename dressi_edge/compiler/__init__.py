@@ -23,6 +23,7 @@ from .backend.emit import emit
 from .backend.needs import needs
 from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
+from .passes.bands import banded
 from .passes.compute import choose as choose_compute
 from .passes.compute import find_compute, room
 from .passes.domains import find_domains
@@ -92,6 +93,7 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
         program = checked("halved", halve(program))
     kind = choose_compute(options.compute, profile)
     groups = checked("simplified", lowered(grouped(program), room(kind, profile)))
+    groups = checked("banded", banded(groups, program))
     if options.lists is not None:
         groups = checked("listed", tuple(find_lists(group, program, profile, options.lists) for group in groups))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....cache.errors import GraphError
+from ..ir import table
 from ..optable import Loop, apply, at, negative, op, zero
 from .lookup import LOOKUP, lookup_infer, lookup_ref, to_table
 from .reduce import tiles_of
@@ -114,6 +115,57 @@ op("segment_sum", "values index box bins", attrs="", alike=((0, 1),), sums=(0,),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.full((1, 2, 4), -1)], {}),
    doc="Transpose of lookup_boxed: for each entry the sum, over the bins of its box that may hold any (`bin_names`), of the pixels that "
        "name it.")
+
+
+def _banded_infer(name, inputs, attrs):
+    vtype, extent = _segment_infer(name, inputs, attrs)
+    if attrs["bands"] < 1 or not 0 < attrs["count"] <= extent.count:
+        raise GraphError(f"{name}: {attrs['bands']} bands of {attrs['count']} entries; the table {inputs[2]!r} has {extent.count}")
+    return vtype, table(attrs["count"] * attrs["bands"])
+
+
+def _rows_of(top, bottom, bands, band):
+    """The rows of bins that a band has of boxes: an equal share, but for the last."""
+    first = top // BIN
+    each = -(-(-(-bottom // BIN) - first) // bands)
+    return np.maximum(top, (first + band * each) * BIN), np.minimum(bottom, (first + (band + 1) * each) * BIN)
+
+
+def _banded_ref(values, index, box, bins, bands, count):
+    parts = []
+    for band in range(bands):
+        part = box.copy()
+        part[..., 1], part[..., 3] = _rows_of(box[..., 1], box[..., 3], bands, band)
+        parts.append(_segment_ref(values, index, part).reshape(-1, values.shape[2])[:count])
+    return to_table(np.stack(parts, 1).reshape(-1, values.shape[2]))
+
+
+_BAND = f"""{{ int entry_ = {{i}} / {{bands}}, band_ = {{i}} - entry_ * {{bands}};
+ivec4 rows_ = {{box_at}}(entry_);
+int top_ = rows_.y / {BIN}, each_ = ((rows_.w + {BIN - 1}) / {BIN} - top_ + {{bands}} - 1) / {{bands}};
+top_ += band_ * each_;
+rows_.yw = ivec2(max(rows_.y, top_ * {BIN}), min(rows_.w, (top_ + each_) * {BIN}));
+"""
+op("segment_sum_banded", "values index box bins", attrs="bands count", alike=((0, 1),), sums=(0,), named=(0, 1, -1), infer=_banded_infer,
+   reads="texel texel texel texel", ref=_banded_ref, cost=400, functions=_NAME_BIT,
+   loop=Loop(_BAND + _BINS.replace("{i}", "entry_").replace("{box}", "rows_"), "{y} += {values}(q_);", "} } }"),
+   sample=lambda rng: ([rng.normal(size=(30, 9, 3)), rng.integers(-1, 6, (30, 9, 1)),
+                        to_table(np.tile(np.array([0, 3, 9, 29]), (6, 1))), np.full((4, 2, 4), -1)], {"bands": 3, "count": 6}),
+   doc="segment_sum of each of so many bands of rows of an entry's box: entry k's are the entries k * bands and after.")
+
+
+def _band_total_infer(name, inputs, attrs):
+    if min(attrs["bands"], attrs["count"]) < 1 or inputs[0].extent.count < attrs["bands"] * attrs["count"]:
+        raise GraphError(f"{name}: {inputs[0]!r} is no table of {attrs['count']} entries of {attrs['bands']} bands")
+    return inputs[0].vtype, table(attrs["count"])
+
+
+op("band_total", "parts", attrs="bands count", reads="texel", infer=_band_total_infer, cost=30,
+   ref=lambda parts, bands, count: to_table(
+       parts.reshape(-1, parts.shape[2])[:bands * count].reshape(count, bands, parts.shape[2]).sum(1)),
+   loop=Loop("for (int b_ = 0; b_ < {bands}; ++b_) {", "{y} += {parts_at}(min({i}, {n} - 1) * {bands} + b_);"),
+   sample=lambda rng: ([to_table(rng.normal(size=(12, 3)))], {"bands": 3, "count": 4}),
+   doc="The sum of each entry's bands, first to last.")
 
 # Rows of a capsule: the slab within `reach` of the segment's line, wider by more than rounding; the whole box where the line is nearly
 # level. All pixels in one loop: machines that run several entries at once then turn as often as the longest needs, not its longest row
