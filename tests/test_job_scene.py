@@ -88,6 +88,25 @@ def test_names_of_parameters_may_be_nested_or_not(folder, optimize):
     assert {"ball.translation", "ball.scale"} <= found.scene.parameters.keys()
 
 
+@pytest.mark.parametrize("nested", [True, False])
+def test_limits_hold_a_parameter_within_them(folder, gpu, nested):
+    """The ball would go from 0.42 to 0.5 along x, and may not."""
+    limits = {"low": 0.1, "high": 0.44}
+    found = parse_job(job(limits={"ball": {"translation": limits}} if nested else {"ball.translation": limits}), folder / "job.toml")
+    with runtime.load(gpu.compile(found.program), gpu.device) as session:
+        session.step(60)
+        at = session.get("ball.translation")
+    assert at[0] == at[2] == np.float32(0.44) and 0.1 < at[1] < 0.44
+
+
+def test_limits_of_a_material_are_narrowed_and_never_widened(folder):
+    phase = job()["phase"][0] | {"optimize": {"ball.color": {"rate": 0.1}}}
+    whole = job(part=[job()["part"][0], job()["part"][1] | {"material": {"color": [0.5, 0.4, 0.3]}}], phase=[phase],
+                limits={"ball.color": {"low": -3, "high": 0.8}})
+    color = parse_job(whole, folder / "job.toml").scene.parameters["ball.color"]
+    assert (color.low, color.high) == (0.0, 0.8)
+
+
 def test_every_parameter_can_be_named(folder):
     """One phase optimizes all there are; materials are lit and shine."""
     material = {"kind": "blinn_phong", "color": [0.5, 0.4, 0.3], "specular": 0.2, "gloss": 10.0}
@@ -128,6 +147,14 @@ def test_every_parameter_can_be_named(folder):
     ({"part": [job()["part"][0] | {"material": {"two_sided": True}}]}, "two_sided is no setting of unlit"),
     ({"light": [{"kind": "point", "power": 1, "vector": [0, 0, 1], "cone": [1, 2]}]}, "cone is for spot lights; drop it"),
     ({"phase": [job()["phase"][0] | {"optimize": {"cube.vertices": {"rate": 1}}}]}, r"optimize.cube.vertices is no parameter.*ball.scale"),
+    ({"limits": 3}, "limits is 3; a table is needed"),
+    ({"limits": {"ball.translatoin": {"low": 0}}}, r"limits.ball.translatoin is an unknown key; did you mean ball.translation"),
+    ({"limits": {"ball": {"translation": {}}}}, "limits.ball.translation: low or high is needed"),
+    ({"limits": {"ball.translation": {"low": 0.45}}}, "ball.translation: it starts at 0.3, which is below 0.45"),
+    ({"limits": {"ball.translation": {"low": 0.1, "high": 0.1}}}, "0.1 to 0.1; the first must be below the second"),
+    ({"limits": {"ball.translation": {"low": float("nan")}}}, "limits.ball.translation.low is nan; a number is needed"),
+    ({"phase": [job()["phase"][0] | {"optimize": {"pear.vertices": {"rate": 1}}}], "limits": {"pear.vertices": {"low": 0}}},
+     "pear.vertices is a place, and places have no limits"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian"}]}]}, "part is missing; loss laplacian is of one part: pear ball"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "color", "power": 2}]}]}, "power is no setting of loss color"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "magnitude", "parameter": "x"}]}]}, "parameter is 'x'; there are: "),

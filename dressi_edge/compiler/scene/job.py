@@ -19,7 +19,21 @@ from .job_file import parse_file_scene
 from .job_scene import SceneJob, parse_scene
 from .limits import fits_scene, fits_views
 from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
-from .sections import LIGHT, MESH, SHARP, SOFT, light_of, mesh_of, no_points_in, optimizer_of, schedule_of, soft, softness_of, views_of
+from .sections import (
+    LIGHT,
+    MESH,
+    SHARP,
+    SOFT,
+    light_of,
+    limit,
+    mesh_of,
+    no_points_in,
+    optimizer_of,
+    schedule_of,
+    soft,
+    softness_of,
+    views_of,
+)
 from .tables import Table
 from .targets import Carried, at_once
 
@@ -66,7 +80,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     bounded(document, str(path))
     if "part" in document or "scene" in document:
         return (parse_scene if "part" in document else parse_file_scene)(document, path, profiles, told, carried)
-    job = Table(document, "", ("mesh", "views", "render", "light", "phase"), str(path))
+    job = Table(document, "", ("mesh", "views", "render", "light", "limits", "phase"), str(path))
     make_mesh = mesh_of(job.table("mesh", MESH), path.parent)
     views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
     order = views_table.word("order", "batch", ORDERS)
@@ -103,6 +117,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
         **carried.of(len(views), width, height),
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
     problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
+    limit(job, problem.scene)
     side = max(problem.width, problem.height)
     for phase, widths in softs:
         softness = phase.table.checked(softness_of, widths, side)

@@ -18,7 +18,7 @@ from .file_scene import load_scene, names_of
 from .job_scene import SceneJob, add_phases, phase_of
 from .limits import fits_views
 from .scene import ORDERS
-from .sections import LIGHT, SOFT, light_of, soft, views_of
+from .sections import LIGHT, SOFT, light_of, limit, soft, views_of
 from .tables import Table
 from .targets import Carried, at_once
 
@@ -26,7 +26,7 @@ from .targets import Carried, at_once
 def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
                      told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
-    job = Table(document, "", ("scene", "views", "render", "light", "phase"), str(path))
+    job = Table(document, "", ("scene", "views", "render", "light", "limits", "phase"), str(path))
     file = job.table("scene", ("path", "mips"))
     source, mips = file.file("path", path.parent), file.flag("mips", True)
     views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
@@ -47,5 +47,6 @@ def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (
     scene = file.checked(load_scene, source, views.cameras, parameters=sorted({key for phase in phases for key in phase.optimize}),
                          lights=lights, mips=mips, background=background, encode=None if linear else encode_srgb)
     scene.program.meta.update(linear_albedo=True, linear_images=linear)
+    limit(job, scene)
     targets, shown = add_phases(scene, views, phases, common, order, seed, carried, background)
     return SceneJob(scene, views.names, tuple(map(float, middle_of(whole.positions))), {}, targets, shown)

@@ -47,7 +47,9 @@ from .sections import (
     SHARP,
     SOFT,
     environment_of,
+    flat,
     light_of,
+    limit,
     no_points_in,
     optimizer_of,
     schedule_of,
@@ -127,7 +129,7 @@ class _PhaseTable:
 def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
                 told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
-    job = Table(document, "", ("part", "views", "render", "light", "environment", "phase"), str(path))
+    job = Table(document, "", ("part", "views", "render", "light", "environment", "limits", "phase"), str(path))
     parts = [part_of(t, path.parent) for t in job.tables("part", ("name", "normals", "material", *POSES, *MESH))]
     if not parts:
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
@@ -180,6 +182,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         for key in phase.optimize:
             if key not in scene.parameters:
                 raise phase.table.conflict(f"optimize.{key} is no parameter of this job; there are: {' '.join(_known(scene, parts))}")
+    limit(job, scene)
     targets, shown = add_phases(scene, views, phases, common, order, seed, carried, background)
     vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
     return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights, views.unit), targets, shown)
@@ -199,21 +202,12 @@ def _known(scene: Scene, parts: Sequence[PartTable]) -> list[str]:
     return sorted({*scene.parameters, *of_parts, *of_picture, "camera.rotation", "camera.translation"})
 
 
-def _flat(optimize: dict) -> dict:
-    """Parameters by their whole names: optimize.pear.vertices is the same as optimize."pear.vertices"."""
-    flat = {}
-    for key, value in optimize.items():
-        inner = isinstance(value, dict) and value and all(isinstance(x, dict) and k != "rate" for k, x in value.items())
-        flat |= {f"{key}.{k}": x for k, x in value.items()} if inner else {key: value}
-    return flat
-
-
 def phase_of(t: Table, parts: Sequence[str]) -> _PhaseTable:
     name, steps = t.word("name"), t.number("steps", low=1, high=10 ** 8, whole=True)
     optimize = t.get("optimize")
     if not isinstance(optimize, dict) or not optimize:
         raise t.wrong("optimize", optimize, "a table of parameters such as part.vertices = {optimizer = \"adam\", rate = 0.01} is needed")
-    optimize = _flat(optimize)
+    optimize = flat(optimize, ("rate",))
     inner = Table(optimize, f"{t.where}.optimize", optimize, t.source)
     terms = [_term(x, steps, parts) for x in t.tables("loss", ("kind", "weight", "norm", "masked", "power", "part", "parameter"))]
     if not terms:

@@ -27,7 +27,9 @@ from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimi
 from ..render.raster import DISTANCES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from ..render.tone import CURVES, Tone
+from .scene import Scene
 from .tables import NEEDED, Table
+from .values import narrowed
 
 ENVIRONMENT = ("path", "radiance", "size", "rotation", "strength", "background")
 LIGHT = ("kind", "power", "vector", "direction", "cone", "shadow")
@@ -37,6 +39,30 @@ SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
 ADAM = ("rate", "betas", "epsilon")
 OPTIMIZERS = {"adam": (Adam, ADAM), "adamw": (AdamW, (*ADAM, "decay")), "adam_uniform": (AdamUniform, (*ADAM, "shared")),
               "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
+
+
+def flat(table: dict, ends: Sequence[str]) -> dict:
+    """Parameters by their whole names: pear.vertices is the same as "pear.vertices". ends: keys that what belongs to one parameter has."""
+    found = {}
+    for key, value in table.items():
+        inner = isinstance(value, dict) and value and all(isinstance(x, dict) and k not in ends for k, x in value.items())
+        found |= {f"{key}.{k}": x for k, x in value.items()} if inner else {key: value}
+    return found
+
+
+def limit(job: Table, scene: Scene) -> None:
+    """Narrows the limits of a scene's parameters to what [limits] says. Raises InputError."""
+    said = flat(job.get("limits", {}), ()) if isinstance(job.get("limits", {}), dict) else job.get("limits")
+    table = Table(said, "limits", scene.parameters, job.source)
+    for name in said:
+        if name.rpartition(".")[2] in ("vertices", "vector"):
+            raise table.conflict(f"{name} is a place, and places have no limits; hold it by a loss")
+        own = table.table(name, ("low", "high"))
+        low, high = own.number("low", None), own.number("high", None)
+        if low is None and high is None:
+            raise own.conflict("low or high is needed")
+        start = np.asarray(scene.program.values[name].initial)
+        scene.parameters[name] = table.checked(narrowed, scene.parameters[name], name, start, low, high)
 
 
 def mesh_of(t: Table, folder: Path) -> Callable[[Callable[[], Views]], Mesh]:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,19 @@ class Parameter:
     high: float | None
     free: Node | None
     where: str
+
+
+def narrowed(parameter: Parameter, name: str, start: np.ndarray, low: float | None, high: float | None) -> Parameter:
+    """The parameter with limits within those it has. Raises InputError where it starts outside of them."""
+    low = parameter.low if low is None or parameter.low is not None and parameter.low > low else low
+    high = parameter.high if high is None or parameter.high is not None and parameter.high < high else high
+    if low is not None and high is not None and not low < high:
+        raise InputError(f"limits of {name}: {low:g} to {high:g}; the first must be below the second")
+    least, most = float(start.min()), float(start.max())
+    for x, side, limit in ((least, "below", low), (most, "above", high)):
+        if limit is not None and (x < limit if side == "below" else x > limit):
+            raise InputError(f"limits of {name}: it starts at {x:g}, which is {side} {limit:g}; start it within its limits, or widen them")
+    return replace(parameter, low=low, high=high)
 
 
 def numbers(who: str, value, integer: bool = False) -> np.ndarray:
