@@ -1,6 +1,7 @@
 """Pictures that are brought to the device view by view: the same bits as with all of them there, whatever the window, the order and where
 they come from; what is missing or wrong is named."""
 
+import inspect
 import shutil
 import zlib
 
@@ -31,6 +32,8 @@ from dressi_edge.compiler.render.raster import Softness
 from dressi_edge.compiler.scene import targets
 from dressi_edge.compiler.scene.problem import Loss, Problem
 from dressi_edge.compiler.scene.results import measure
+from dressi_edge.runtime import kept, vk
+from dressi_edge.runtime.work import Work
 
 pytest_plugins = ["gpu"]
 
@@ -155,6 +158,156 @@ def test_every_byte_is_what_numpy_makes_of_it(gpu):
     assert np.array_equal(found["table"], np.concatenate([table[rows[..., :3]], wanted[..., 3:]], -1))
     with ReferenceSession(p) as session:
         assert np.array_equal(session.get("plain").astype(np.float32), wanted)
+
+
+# ---- what is kept of each view
+
+
+def painted(session, chunks=(1, 2, 9, 1, 8)):
+    """Losses and states after steps of the texture on a shape at rest."""
+    losses = []
+    for n in chunks:
+        session.step(n, "paint")
+        losses.append(session.loss())
+    return losses, {name: session.get(name).tobytes() for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def unkept(gpu, photos, tmp_path_factory):
+    """The same steps, each of which works everything out."""
+    path = made(gpu, fit(load_views(photos), whole=True), tmp_path_factory.mktemp("unkept") / "x.dressi")
+    with runtime.load(path, gpu.device) as session:
+        assert "kept" not in session.bundle.description["meta"]
+        found = painted(session)
+        session.set("vertices", session.get("vertices") * np.float32(1.125))
+        return found, painted(session)
+
+
+@pytest.fixture(scope="module")
+def keeping(gpu, photos, tmp_path_factory):
+    """A bundle of which views are kept, and what one of them takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(targets, "SMALL", 1000)
+        patch.setattr(targets, "SLOTS", 3)
+        path = made(gpu, fit(load_views(photos)), tmp_path_factory.mktemp("keeping") / "x.dressi")
+    with runtime.load(path, gpu.device) as session:
+        assert [x["input"] for x in session.bundle.description["meta"]["kept"]] == ["paint.view"], "vertices move in the other phase"
+        session.step(1, "paint")
+        assert session.report()["views_kept"] == {"paint": 1}
+        return path, session._kept.bytes
+
+
+@pytest.mark.parametrize("room", [0, 1, 3, 100])
+def test_how_many_views_are_kept_makes_no_difference(gpu, keeping, unkept, monkeypatch, room):
+    path, size = keeping
+    monkeypatch.setattr(kept, "USUAL_BYTES", room * size)
+    with runtime.load(path, gpu.device) as session:
+        before = session.report()["image_bytes"]
+        assert painted(session) == unkept[0]
+        report = session.report()
+        assert report["views_kept"] == {"paint": min(room, N)} and report["image_bytes"] == before + min(room, N) * size
+        made_once = report["runs"]["paint.prepare"]
+        assert made_once == N if room > N else made_once > N
+        session.set("vertices", session.get("vertices") * np.float32(1.125))
+        assert painted(session) == unkept[1], "what was kept of another shape is made again"
+        assert session.report()["image_bytes"] == report["image_bytes"]
+    gpu.silent()
+
+
+def test_steps_of_views_that_are_kept_are_one_submission(gpu, keeping, monkeypatch):
+    submitted, submit = [], Work.submit
+    monkeypatch.setattr(Work, "submit", lambda self, commands, *more: submitted.append(len(commands)) or submit(self, commands, *more))
+    monkeypatch.setattr(targets, "SLOTS", 3)
+    with runtime.load(keeping[0], gpu.device) as session:
+        session.step(2 * N, "paint")
+        submitted.clear()
+        session.step(9)
+        assert [n for n in submitted if n > 1] == [3, 3, 3], "the window has three pictures"
+
+
+def test_a_step_that_was_interrupted_is_gone_on_from(gpu, keeping, unkept, monkeypatch):
+    """Before the submission, in it, and after it, wherever views are made, kept and read."""
+    real, left = vk.WaitForFences, [0]
+
+    def wait(*arguments):
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    with runtime.load(keeping[0], gpu.device) as session:
+        monkeypatch.setattr(vk, "WaitForFences", wait)
+        done, k = 0, 0
+        while done < 21:
+            k += 1
+            left[0] = k
+            try:
+                session.step(min(3, 21 - done), "paint")
+            except KeyboardInterrupt:
+                pass
+            left[0] = 0
+            done = int(session.get("paint.step"))
+        assert {name: session.get(name).tobytes() for name in NAMES} == unkept[0][1] and k > 10
+
+
+def test_what_is_kept_is_no_business_of_checkpoints(gpu, keeping, unkept, tmp_path):
+    with runtime.load(keeping[0], gpu.device) as session:
+        session.step(12, "paint")
+        session.checkpoint(tmp_path / "a")
+        session.step(1)
+        session.set("paint.step", 3)
+        assert session.loss() == session.loss()
+        session.restore(tmp_path / "a")
+        session.checkpoint(tmp_path / "b")
+        assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+        session.step(9)
+        assert {name: session.get(name).tobytes() for name in NAMES} == unkept[0][1]
+        session.set("paint.view", 6)  # it is the session's
+        session.profile_stages("paint", 1)
+    with runtime.load(keeping[0], gpu.device) as session:
+        session.restore(tmp_path / "a")
+        session.step(9, "paint")
+        assert {name: session.get(name).tobytes() for name in NAMES} == unkept[0][1]
+    gpu.silent()
+
+
+def test_a_budget_holds_for_what_is_kept_too(gpu, photos, unkept, keeping, tmp_path):
+    with runtime.load(keeping[0], gpu.device) as session:
+        alone = session.report()["image_bytes"]
+    path = made(gpu, fit(load_views(photos), memory=alone + 5 * keeping[1] // 2), tmp_path / "x.dressi")
+    with runtime.load(path, gpu.device) as session:
+        assert painted(session) == unkept[0]
+        assert session.report()["views_kept"] == {"paint": 2} and session.report()["image_bytes"] <= alone + 5 * keeping[1] // 2
+
+
+def test_a_device_without_memory_keeps_nothing(gpu, keeping, unkept, monkeypatch):
+    real = vk.AllocateMemory
+
+    def allocate(device, info):
+        if sum(1 for frame in inspect.stack() if frame.function == "_room"):
+            raise vk.VulkanError("vkAllocateMemory", vk.VK_ERROR_OUT_OF_DEVICE_MEMORY)
+        return real(device, info)
+
+    with runtime.load(keeping[0], gpu.device) as session:
+        monkeypatch.setattr(vk, "AllocateMemory", allocate)
+        assert painted(session) == unkept[0] and session.report()["views_kept"] == {"paint": 0}
+
+
+def test_a_reader_that_does_not_know_of_it_is_asked_for_the_view(gpu, photos):
+    with ReferenceSession(fit(load_views(photos)).program) as session:
+        session.set("targets", np.zeros((3, 30, 40), int))
+        with pytest.raises(InputError, match="paint.view"):
+            session.step(1, "paint")
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("input", "vertices"), ("input", "lost"), ("counter", "texture"), ("counter", "paint.view"), ("order", b""), ("order", b"123"),
+    ("order", np.full(2, -1, "<i4").tobytes()), ("order", 3), ("memory", "x"), ("memory", -1)])
+def test_a_bundle_that_misleads_about_what_is_kept_is_refused(gpu, keeping, tmp_path, key, value):
+    path = tmp_path / "x.dressi"
+    misled(keeping[0], path, lambda meta: {**meta, "kept": [{**meta["kept"][0], key: value}]})
+    with pytest.raises(BundleError, match="meta.kept is malformed"):
+        runtime.load(path, gpu.device)
 
 
 # ---- what a user sees
@@ -284,6 +437,14 @@ def test_pictures_that_nobody_gave_are_asked_for(gpu, photos, tmp_path):
             session.pictures(lambda k: None)
 
 
+def misled(path, out, change):
+    """A bundle with another meta."""
+    b = bundles.read(path)
+    d = {k: x for k, x in b.description.items() if k != "blobs"}
+    blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
+    bundles.write(out, {**d, "meta": change(d["meta"])}, blobs)
+
+
 def broken(folder, k, how):
     path = folder / f"00{k}.png"
     if how == "missing":
@@ -322,11 +483,7 @@ def test_pictures_that_are_no_longer_there_are_one_line(gpu, photos, tmp_path, c
     ("names", ["a"]), ("files", "x"), ("blobs", [10 ** 6] * 7), ("blobs", [0]), ("digests", [b""])])
 def test_a_bundle_that_misleads_about_its_pictures_is_refused(gpu, photos, tmp_path, key, value):
     path = made(gpu, fit(load_views(photos)), tmp_path / "x.dressi")
-    b = bundles.read(path)
-    d = {k: x for k, x in b.description.items() if k != "blobs"}
-    blobs = [bytes(b.blob(k)) for k in range(len(b.description["blobs"]))]
-    d["meta"] = {**d["meta"], "pictures": {**d["meta"]["pictures"], key: value}}
-    bundles.write(path, d, blobs)
+    misled(path, path, lambda meta: {**meta, "pictures": {**meta["pictures"], key: value}})
     with pytest.raises(BundleError, match="meta.pictures is malformed"):
         runtime.load(path, gpu.device)
 

@@ -32,8 +32,8 @@ def summed(data: bytes, shape: tuple[int, ...], kind: type) -> np.ndarray:
 class Feed:
     """name: the value, an atlas of slots. views: how many pictures there are; size: (width, height) of each; bits: 8 or 32 a channel.
     order: the view of each step, or None where every view has a slot of its own. steps: plans that read the value, each with the state that
-    counts its steps. shown: outputs of one view, each with the input that says which. held: slot -> view, as far as it is filled. at: of
-    each counter, its value where that is known. source: what gives pictures that the bundle does not have, given: those that were set."""
+    counts its steps. shown: outputs of one view, each with the input that says which. held: slot -> view, as far as it is filled. source:
+    what gives pictures that the bundle does not have, given: those that were set."""
 
     def __init__(self, meta: Mapping, values: Mapping[str, Mapping], blob: Callable[[int], bytes], blobs: int):
         try:
@@ -42,7 +42,6 @@ class Feed:
             raise BundleError(f"meta.pictures is malformed ({error}); compile the bundle again") from None
         self._blob = blob
         self.held: dict[int, int] = {}
-        self.at: dict[str, int | None] = dict.fromkeys(self.steps.values())
         self.given: dict[int, np.ndarray] = {}
         self.source: Callable[[int], np.ndarray] | None = None
 

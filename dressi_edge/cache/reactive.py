@@ -7,7 +7,7 @@ changes.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from .copies import ENTER, LEAVE, PHASE, kinds
@@ -69,10 +69,11 @@ class Reactive:
         """Whether an output or an enter has to run before what it makes is of use."""
         return self._seen.get(plan.name) != self._versions(plan)
 
-    def before(self, plan: Rule) -> Iterator[Rule]:
-        """What must run before it, in order. Each is asked for when the one before has run and its changes are made."""
+    def before(self, plan: Rule, but: Collection[str] = ()) -> Iterator[Rule]:
+        """What must run before it, in order, without those of `but`. Each is asked for when the one before has run and its changes are
+        made."""
         for need in map(self.rules.__getitem__, plan.needs):
-            if self.stale(need):
+            if need.name not in but and self.stale(need):
                 yield from self.leaves(need.touches)
                 yield need
         yield from self.leaves(plan.touches)
@@ -108,6 +109,14 @@ class Reactive:
                 versions = self.version | {state: version for _, state, version in states}
                 changes += [*states, (self._seen, name, tuple(map(versions.__getitem__, enter.reads))), (self.out, name, True)]
         return changes
+
+    def seen(self, name: str) -> tuple[int, ...] | None:
+        """The versions of what an output or an enter last ran on."""
+        return self._seen.get(name)
+
+    def versions(self, plan: Rule, known: Mapping[str, int] = {}) -> tuple[int, ...]:  # noqa: B006
+        """Of all that it reads; of some values as they are given."""
+        return tuple(known.get(name, self.version[name]) for name in plan.reads)
 
     def _versions(self, plan: Rule) -> tuple[int, ...]:
         return tuple(map(self.version.__getitem__, plan.reads))

@@ -14,7 +14,7 @@ from ..cache.errors import BundleError, InputError
 from ..cache.feed import Feed
 from ..cache.layout import Layout, is_int
 from .ahead import Ahead
-from .transfer import read, upload
+from .transfer import upload
 
 if TYPE_CHECKING:
     from .plans import Plan
@@ -36,6 +36,10 @@ class Fed:
         """Nothing is read ahead any more."""
         if self._ahead is not None:
             self._ahead.close()
+
+    def counters(self) -> dict[str, str]:
+        """By plan, the state that counts its steps."""
+        return {} if self.feed is None else self.feed.steps
 
     # ---- values
 
@@ -152,7 +156,7 @@ class Fed:
         if feed.order is not None:
             if plan.name not in feed.steps:
                 raise BundleError(f"meta.pictures does not say which steps {plan.name} counts; compile the bundle again")
-            step = self._counted(feed.steps[plan.name])
+            step = s._counters.value(feed.steps[plan.name])
         wanted = feed.wanted(plan.name, step, n)
         self._ahead.expect(wanted.values())
         value = s.values[feed.name]
@@ -165,27 +169,6 @@ class Fed:
                    [*s._reactive.set([feed.name]), (feed.held, slot, view)])
         if feed.order is not None and plan.states:
             self._ahead.expect(feed.wanted(plan.name, step + n, n).values())
-
-    def _counted(self, counter: str) -> int:
-        """The steps that a state counts, asked of the device where they are not known."""
-        at, s = self.feed.at, self.s
-        if at[counter] is None:
-            found: list[int] = []
-            read(s._work, s._staging, [(*s._handle(s.values[counter]["image"]), lambda place: found.append(int(place.view(np.int32)[0])))])
-            at[counter] = found[0]
-        return at[counter]
-
-    def stepped(self, plan: Plan, n: int) -> list:
-        """What is true of a counter after n iterations."""
-        counter = None if self.feed is None or not plan.states else self.feed.steps.get(plan.name)
-        if counter is None:
-            return []
-        at = self.feed.at[counter]
-        return [(self.feed.at, counter, None if at is None else at + n)]
-
-    def uncounted(self, names: Iterable[str]) -> list:
-        """What is true of counters once these have new values: nothing is known."""
-        return [] if self.feed is None else [(self.feed.at, name, None) for name in names if name in self.feed.at]
 
 
 def number(view, count: int) -> int:

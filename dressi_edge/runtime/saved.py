@@ -33,7 +33,7 @@ def snapshot(s: Session) -> files.Checkpoint:
 def _kept(s: Session, runs: dict[str, int], inputs: list[str]) -> list[str]:
     """The values that a checkpoint holds: states, inputs that were set, and what phases that have run gave out."""
     given = {name for phase in s.phases if runs[phase] for name in s._plans[phase].rule.outputs}
-    known = {*given, *inputs} - {s._fed.name}  # its pictures are known by the bundle, or whoever gives them
+    known = {*given, *inputs} - {s._fed.name, *s._kept.inputs}  # pictures are known by the bundle, or whoever gives them
     return [name for name, value in s.values.items() if value["role"] == "state" or name in known]
 
 
@@ -69,7 +69,7 @@ def restore(s: Session, path: str | os.PathLike) -> None:
         raise BundleError(f"{os.fspath(path)}: the checkpoint's values are not those of this bundle")
     if bad := _not_finite(s, found):
         raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
-    unset = [name for name in s._reactive.given if name not in inputs and name != s._fed.name]
+    unset = [name for name in s._reactive.given if name not in (*inputs, s._fed.name, *s._kept.inputs)]
     s._put([(name, np.frombuffer(data, np.uint8)) for name, data in found.values.items()],
            (*((s._runs, name, n) for name, n in found.runs.items()),
             *s._reactive.unset(unset),

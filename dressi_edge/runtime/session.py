@@ -5,7 +5,7 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -21,10 +21,13 @@ from ..cache.steps import bounded, check_step
 from ..cache.vulkan import HALF_FORMATS
 from . import checkpoint as checkpoints
 from . import saved, vk
+from .counters import Counters
 from .device import Device
 from .emulate import EmulatedDevice
 from .fed import KIND, Fed
 from .fit import choose
+from .kept import Copy as KeptCopy
+from .kept import Kept
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
 from .pipelines import Pipelines
@@ -81,7 +84,8 @@ class Session:
         self._layouts = {name: _layout(value) for name, value in self.values.items()}
         self.plans = {plan["name"]: plan for plan in self._d["plans"]}
         self._reactive = Reactive(self._d)
-        self._fed = Fed(self)
+        self._fed, self._kept = Fed(self), Kept(self)
+        self._counters = Counters(self, self._fed.counters() | self._kept.counters())
         self._plans = {plan["name"]: Plan(plan, self._d, self._reactive.rules[plan["name"]]) for plan in self._d["plans"]}
         self._giver = {name: plan for plan in reversed(self._plans.values()) for name in plan.rule.outputs}
         self.phases = [plan.name for plan in self._plans.values() if plan.rule.kind == PHASE]
@@ -102,7 +106,7 @@ class Session:
 
     def _open(self) -> None:
         self._work, self._staging = Work(self.device, bool(self._d.get("computes"))), Staging(self.device)
-        self._images = Images(self.device, self._d["images"], self._depth_format)
+        self._images = Images(self.device, self._kept.copied(self._d["images"]), self._depth_format)
         self._work.begin(functools.partial(clear, self._images, compute=self._work.compute))
         # the device does this while the driver compiles
         try:
@@ -142,7 +146,7 @@ class Session:
                 for recording in plan.recordings.values():
                     recording.close()
                 plan.recordings = {}
-            for part in (self._fed, self._pipelines, self._store, self._images, self._staging, self._work):
+            for part in (self._fed, self._kept, self._pipelines, self._store, self._images, self._staging, self._work):
                 if part is not None:
                     part.close()
         if self._owns_device:
@@ -226,7 +230,7 @@ class Session:
         names = [name for name, _ in copies]
         self._give_back(names)
         upload(self._work, self._staging, [(*self._part(name, cells), data) for name, data in copies],
-               [*self._reactive.set(names), *self._fed.uncounted(names), *more])
+               [*self._reactive.set(names), *self._counters.forget(names), *self._kept.unseen(names), *more])
         if trim:
             self._staging.trim(self._largest)
 
@@ -324,32 +328,36 @@ class Session:
 
     def _refresh(self, plan: Plan) -> None:
         """Run a plan that gives something out unless that is up to date."""
+        self._kept.look(plan)
         if self._reactive.stale(plan.rule):
             self._run(plan, 1)
         else:
             self._skipped[plan.name] += 1
 
-    def _prepare(self, plan: Plan) -> None:
-        """Run all that must run before it."""
-        ran = self._each(self._reactive.before(plan.rule))
+    def _prepare(self, plan: Plan, but: Collection[str] = ()) -> None:
+        """Run all that must run before it, without those of `but`."""
+        ran = self._each(self._reactive.before(plan.rule, but))
         for name in plan.rule.needs:
             self._skipped[name] += name not in ran
 
     def _ready(self, plan: Plan, n: int = 1) -> None:
         self._fed.fill(plan, n)
+        self._kept.look(plan)
         if missing := self._reactive.missing(plan.rule):
             raise InputError(f"{plan.name} needs {' '.join(missing)}; set it first")
 
-    def _recording(self, plan: Plan, flip: tuple = ()) -> Recording:
-        """The plan's commands for the slots that are current, or with those of the images `flip` exchanged."""
-        key = tuple([self._parity[k] ^ (k in flip) if k in self._parity else 0 for k in plan.slots])
+    def _recording(self, plan: Plan, flip: tuple = (), copy: KeptCopy | None = None) -> Recording:
+        """The plan's commands for the slots that are current, or with those of the images `flip` exchanged; copy: what is kept of a view,
+        to be read instead of what was made last."""
+        parity = tuple([self._parity[k] ^ (k in flip) if k in self._parity else 0 for k in plan.slots])
+        key = parity if copy is None else (*parity, copy.number)
         recording = plan.recordings.get(key)
         if recording is None:
-            recording = plan.recordings[key] = self._record(plan, dict(zip(plan.slots, key)))
+            recording = plan.recordings[key] = self._record(plan, dict(zip(plan.slots, parity)), images=copy)
         return recording
 
-    def _record(self, plan: Plan, parity: dict[int, int], timestamps: int = 0) -> Recording:
-        return Recording(self.device, self._work.pool, self.bundle, self._images, self._pipelines, plan.record, parity,
+    def _record(self, plan: Plan, parity: dict[int, int], timestamps: int = 0, images: KeptCopy | None = None) -> Recording:
+        return Recording(self.device, self._work.pool, self.bundle, images or self._images, self._pipelines, plan.record, parity,
                          timestamps)
 
     def _run(self, plan: Plan, n: int) -> None:
@@ -357,14 +365,21 @@ class Session:
             k = min(n, self._fed.most(plan, MAX_SUBMIT))
             self._ready(plan, k)
             self._work.settle()
-            self._prepare(plan)
-            self._submit(plan, k)
+            if plan.name in self._kept.turns:
+                k = self._kept.run(plan, k)
+            else:
+                self._prepare(plan)
+                self._submit(plan, k)
             n -= k
 
-    def _submit(self, plan: Plan, n: int = 1) -> None:
-        """Run a plan on what there is."""
-        commands = [self._recording(plan).commands]
-        if plan.states and n > 1:
+    def _submit(self, plan: Plan, n: int = 1, copies: Sequence[KeptCopy | None] = ()) -> None:
+        """Run a plan on what there is; copies: what is kept of the view of each iteration."""
+        if copies:
+            flips = (), tuple(k for _, k in plan.states)
+            commands = [self._recording(plan, flips[k % 2], copy).commands for k, copy in enumerate(copies)]
+        else:
+            commands = [self._recording(plan).commands]
+        if not copies and plan.states and n > 1:
             commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
         self._work.submit(commands, [(self._runs, plan.name, self._runs[plan.name] + n), *self._stepped(plan, n)])
         self._work.settle()
@@ -376,7 +391,7 @@ class Session:
         """What is true after n iterations."""
         flipped = () if plan.rule.kind == LEAVE else plan.states  # a leave writes in place
         swapped = [(self._parity, image, self._parity[image] ^ n & 1) for _, image in flipped]
-        return [*self._reactive.ran(plan.rule), *self._fed.stepped(plan, n), *swapped]
+        return [*self._reactive.ran(plan.rule), *self._counters.stepped(plan, n), *swapped]
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         """Run n iterations of a phase (default: the current one) in one submission; how many were run.
@@ -443,10 +458,11 @@ class Session:
 
     @serial
     def profile_stages(self, name: str, runs: int = 5) -> list[float]:
-        """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps."""
+        """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps, of one view where views
+        are kept."""
         plan = self._plans[name]
         self._ready(plan, runs)
-        self._prepare(plan)
+        self._kept.prepare(plan)
 
         def record(timestamps: int) -> Recording:
             return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
@@ -480,6 +496,7 @@ class Session:
                 "variants": dict(self._why),
                 "runs": dict(self._runs), "skipped": skipped,
                 "texels": self._d["meta"].get("texels", {}),
-                "image_bytes": self._images.bytes, "staging_bytes": self._staging.size,
+                "views_kept": self._kept.report(),
+                "image_bytes": self._images.bytes + self._kept.bytes, "staging_bytes": self._staging.size,
                 "pipelines": len(self._d["pipelines"]) + len(self._d.get("computes", ())), "pipeline_cache": self._store.state,
                 "time": time.time()}

@@ -23,7 +23,16 @@ Copy = tuple[int, dict, np.ndarray | Fill]  # image handle, its record, its byte
 
 def clear(images: Images, c: int, compute: bool = False) -> None:
     """Bring every image to GENERAL, zero; `compute`: dispatches may follow."""
-    barriers, wipes = [], []
+    to_general(images, c)
+    for handle in (handle for record, handles in zip(images.records, images.handles) if record["format"] for handle in handles):
+        vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
+                              [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
+    wait(c, compute)
+
+
+def to_general(images: Images, c: int) -> None:
+    """Bring every image to GENERAL; what it held is lost."""
+    barriers = []
     for record, handles in zip(images.records, images.handles):
         aspect = vk.VK_IMAGE_ASPECT_COLOR_BIT if record["format"] else vk.VK_IMAGE_ASPECT_DEPTH_BIT
         for handle in handles:
@@ -31,15 +40,9 @@ def clear(images: Images, c: int, compute: bool = False) -> None:
                 srcAccessMask=0, dstAccessMask=vk.VK_ACCESS_TRANSFER_WRITE_BIT, oldLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED,
                 newLayout=vk.VK_IMAGE_LAYOUT_GENERAL, srcQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED,
                 dstQueueFamilyIndex=vk.VK_QUEUE_FAMILY_IGNORED, image=handle, subresourceRange=(aspect, 0, 1, 0, 1)))
-            if record["format"]:
-                wipes.append(handle)
     if barriers:
         vk.CmdPipelineBarrier(c, vk.VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, vk.VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0,
                               pImageMemoryBarriers=barriers)
-    for handle in wipes:
-        vk.CmdClearColorImage(c, handle, vk.VK_IMAGE_LAYOUT_GENERAL, vk.VkClearColorValue(),
-                              [(vk.VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1)])
-    wait(c, compute)
 
 
 def _offsets(sizes: list[int]) -> tuple[list[int], int]:

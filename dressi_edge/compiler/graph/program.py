@@ -88,13 +88,15 @@ class PlanSpec:
 
 @dataclass
 class Program:
-    """The problem being built. attached: bytes that its bundle carries for whoever reads meta, where a map of that name gets `blobs`."""
+    """The problem being built. attached: bytes that its bundle carries for whoever reads meta, where a map of that name gets `blobs`.
+    turned: by group of plans, the input that says which view the next step sees; the session gives it another value each step."""
 
     values: dict[str, Value] = field(default_factory=dict)
     roles: dict[str, str] = field(default_factory=dict)
     plans: list[PlanSpec] = field(default_factory=list)
     meta: dict = field(default_factory=dict)
     attached: dict[str, Sequence[bytes]] = field(default_factory=dict)
+    turned: dict[str, str] = field(default_factory=dict)
 
     def _leaf(self, role: str, name: str, layout: Layout, initial, narrow: bool = False) -> Node:
         check_name(role, name)

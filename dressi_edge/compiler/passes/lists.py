@@ -56,7 +56,8 @@ def find_lists(group: Group, program: Program, profile: Profile, least: int) -> 
                     raise _Dense("it is a table with padding")
                 if len(phases) > 1:
                     raise _Dense("several phases share its plans")
-                changing = specs[k].dynamic.union(copy.attrs["name"] for x in lists for copy in x.copies.values())
+                changing = specs[k].dynamic.union((copy.attrs["name"] for x in lists for copy in x.copies.values()),
+                                                  {program.turned.get(group.name)} - {None})
                 made, rooted = _Body(program, specs[k], rooted[k], changing, extent).lists(rooted, len(lists) + 1, rows)
                 lists.append(made)
             except _Dense as reason:

@@ -337,7 +337,8 @@ def add_phases(scene: Scene, views: Views, phases: Sequence[_PhaseTable], common
 
 
 def add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
-    frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed)
+    frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed,
+                        view=targets.turned(scene, phase.name, phase.optimize))
     target, terms = targets.at(frame), {}
     for term in phase.terms:
         name = next(n for n in (term.kind, *(f"{term.kind}{k}" for k in range(2, 99))) if n not in terms)

@@ -179,7 +179,8 @@ class Problem:
             s.check_phase(name, steps, optimize, losses)
             if self.normals == "file" and self.shading == "lambert" and "vertices" in optimize:
                 raise InputError(f"phase {name} optimizes vertices, and normals are \"file\", which do not follow them; use flat or smooth")
-            frame = s.frame(renderer_of(softness or Softness()), phase=name, order=self.order, seed=self.seed)
+            frame = s.frame(renderer_of(softness or Softness()), phase=name, order=self.order, seed=self.seed,
+                            view=self._targets.turned(s, name, optimize))
             target, weighted = self._targets.at(frame), {}
             for k, loss in enumerate(losses):
                 value = loss.term(frame, target, compose(*self.background)) if isinstance(loss, Loss) else loss(frame, target)

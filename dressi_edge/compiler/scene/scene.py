@@ -15,7 +15,7 @@ vjp() name.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -209,6 +209,12 @@ class Scene:
         n, rng = len(self.cameras), np.random.default_rng(seed)
         return np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
 
+    def rests(self, optimize: Iterable[str]) -> bool:
+        """Whether what the cameras see stays where it is while these parameters change."""
+        views, moving = self.views, {self.parameters[name].node for name in optimize if name in self.parameters}
+        shape = [*(part.positions for part in self.parts), *(views.rows if views else ()), *([views.projection] if views else ())]
+        return moving.isdisjoint(topological(shape))
+
     def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0,
               view: Node | None = None) -> Frame:
         """What the cameras see, by a renderer (`Outline()` unless given). With an order other than "batch" one view a step of `phase`; what
@@ -354,12 +360,12 @@ class Scene:
     def undone_by_errors(self):
         """What an error leaves behind is taken back."""
         p = self.program
-        before = dict(p.values), dict(p.roles), list(p.plans), dict(p.meta)
+        before = dict(p.values), dict(p.roles), list(p.plans), dict(p.meta), dict(p.turned)
         steps, frames, phases = dict(self._steps), list(self._frames), list(self.phases)
         try:
             yield
         except DressiError:
-            p.values, p.roles, p.plans, p.meta = before
+            p.values, p.roles, p.plans, p.meta, p.turned = before
             self._steps, self._frames, self.phases = steps, frames, phases
             raise
 

@@ -9,15 +9,17 @@ In: a scene, its views, the order of steps. Out: `Targets`, whose `at` is what a
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...cache.errors import InputError
 from ...cache.feed import differences
 from ...cache.layout import Layout
-from ..graph.functions import apply, to_int
+from ..graph.functions import apply, constant_table, lookup, to_int
 from ..graph.ir import Node, topological
 from ..graph.ops.packed import unorm8
 from ..io.again import recorded
@@ -26,6 +28,9 @@ from ..io.pictures import AS_FLOAT, Pictures
 from ..io.views import Views
 from ..render.atlas import COMMON_SIDE, Atlas
 from ..render.frame import Frame
+
+if TYPE_CHECKING:
+    from .scene import Scene
 
 SMALL = 1 << 20  # pixels of all views together up to which pictures are floats, all of them on the device and in the bundle
 SLOTS = 32  # views in a window: a step does not wait for the picture of the next
@@ -79,14 +84,15 @@ def _extent(width: int, height: int, n: int) -> tuple[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """node: the input. slots: the cells of its image. order: the view of each step, (n,), where the image is a window. bits: 8 or 32 a
-    channel. table: (256,) float32, what 8 bits of a colour stand for, where that is not k / 255. views: the pictures, where they come
-    from outside the program. embed: whether the bundle has them. memory: bytes for all images, if that was
-    said."""
+    """node: the input. slots: the cells of its image. order: the view of each step, (n,), where the image is a window. steps: the same,
+    also where it is none, if a step sees one view. bits: 8 or 32 a channel. table: (256,) float32, what 8 bits of a colour stand for, where
+    that is not k / 255. views: the pictures, where they come from outside the program. embed: whether the bundle has them. memory: bytes
+    for all images, if that was said."""
 
     node: Node
     slots: Atlas
     order: np.ndarray | None = None
+    steps: np.ndarray | None = None
     bits: int = 32
     table: np.ndarray | None = None
     views: Views | None = None
@@ -98,12 +104,23 @@ class Targets:
         """Whether the session brings the pictures to the device."""
         return self.views is not None
 
+    def turned(self, scene: Scene, phase: str, optimize: Iterable[str]) -> Node | None:
+        """The input that says which view a step of a phase sees, where the session is to say so: what depends on a view alone is then
+        worked out once for each, and kept while there is memory (docs/bundle-format.md, "Views that are kept"). None where a step works it
+        out from its number: of all views at once, and of a shape that moves, of which nothing could be kept."""
+        if not self.fed or self.steps is None or not scene.rests(optimize):
+            return None
+        name = f"{phase}.view"
+        scene.program.turned[phase] = name
+        return scene.program.input(name, Layout("unit", "int"))
+
     def at(self, frame: Frame) -> Node:
         """vec4: the pictures of the views of a frame, straight colour and alpha."""
         node = self.node
-        if self.order is not None:
-            corner = self.slots.corner(apply("imod", frame.step, self.slots.views))
-            node = apply("fetch", node, to_int(frame.pixel) + corner)
+        if frame.step is not None and self.steps is not None:  # by the step's number: where a picture lies is nothing to keep
+            slot = apply("imod", frame.step, self.slots.views if self.order is not None else len(self.steps))
+            slot = slot if self.order is not None else lookup(constant_table(self.steps), slot)
+            node = apply("fetch", node, to_int(frame.pixel) + self.slots.corner(slot))
         else:
             node = frame.at(node)
         return unorm8(node, self.table) if self.bits == 8 else node
@@ -125,7 +142,9 @@ class Targets:
                  "names": list(self.views.names), "size": [self.slots.width, self.slots.height], "files": [], "blobs": []}
         if isinstance(pictures, Pictures):
             found |= recorded(pictures)
-        return {"pictures": found}
+        kept = [{"input": name, "counter": f"{group}.step", "order": self.steps.astype("<i4").tobytes(), "memory": self.memory}
+                for group, name in program.turned.items()]
+        return {"pictures": found, **({"kept": kept} if kept else {})}
 
     def blobs(self) -> list[bytes]:
         """The pictures as a bundle has them: zlib of the differences of their rows."""
@@ -158,13 +177,14 @@ def targets_of(scene, views: Views | None, order: str, seed: int, embed: bool = 
     else:
         bits, linear = 8 if all(np.array_equal(AS_FLOAT[_bytes(x)], x) for x in images) else 32, False
     table = srgb_to_linear(AS_FLOAT) if linear else None
-    atlas, steps = scene.atlas, None
+    atlas, window = scene.atlas, None
+    steps = None if order == "batch" else scene.order_of(order, seed)
     if windowed(order, count, width, height, whole):
         slots = slots_for(count, width, height, 4 if bits == 8 else 16, memory)
         if slots < count:
-            atlas, steps = Atlas.of(width, height, slots), scene.order_of(order, seed)
+            atlas, window = Atlas.of(width, height, slots), steps
     layout = Layout("atlas", "int" if bits == 8 else "vec4", atlas.width, atlas.height, atlas.views, atlas.columns)
-    return Targets(program.input("targets", layout, narrow=True), atlas, steps, bits, table, views, embed, memory)
+    return Targets(program.input("targets", layout, narrow=True), atlas, window, steps, bits, table, views, embed, memory)
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:

@@ -1,0 +1,74 @@
+"""Results that are kept for each view: what a bundle says of them (docs/bundle-format.md, "Views that are kept"), and which plans and
+images it concerns.
+
+In: meta.kept and the rules of the plans. Out: `Turn`s. Nothing here knows a device.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .bundle_plans import bound, counts, written
+from .copies import OUTPUT
+from .errors import BundleError
+from .reactive import Rule
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What happens view by view. input: the name of the input that says which view the next step sees. counter: the state that counts
+    steps. order: (n,) int32, the view of each step, after which it begins again. memory: bytes for all images, what is kept included, or
+    None. makes: the plans whose results depend on the view and that others read, in order; images: those results. readers: the plans that
+    a user runs and that see the view."""
+
+    input: str
+    counter: str
+    order: np.ndarray
+    memory: int | None
+    makes: tuple[str, ...]
+    images: tuple[int, ...]
+    readers: tuple[str, ...]
+
+    def view(self, step: int) -> int:
+        """The view of a step."""
+        return int(self.order[step % len(self.order)])
+
+
+def turns(d: Mapping, rules: Mapping[str, Rule]) -> list[Turn]:
+    """What a description says is kept. Raises BundleError."""
+    values, found = {value["name"]: value for value in d["values"]}, []
+    try:
+        for x in d["meta"].get("kept", ()):
+            order = np.frombuffer(x["order"], "<i4")
+            shown, counter = values[x["input"]], values[x["counter"]]
+            if (shown["role"], shown["type"], shown["layout"]) != ("input", "int", "unit") or not len(order) or order.min() < 0:
+                raise ValueError("input or order")
+            if (counter["role"], counter["type"], counter["layout"]) != ("state", "int", "unit"):
+                raise ValueError("counter")
+            if x["memory"] is not None and (type(x["memory"]) is not int or x["memory"] < 0):
+                raise ValueError("memory")
+            seeing = [rule for rule in rules.values() if x["input"] in rule.inputs]
+            makes = tuple(rule.name for rule in seeing if rule.kind == OUTPUT and not rule.outputs)
+            found.append(Turn(x["input"], x["counter"], order, x["memory"], makes, _results(d, rules, makes, shown["image"]),
+                              tuple(rule.name for rule in seeing if rule.name not in makes)))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BundleError(f"meta.kept is malformed ({error}); compile the bundle again") from None
+    return found
+
+
+def _results(d: Mapping, rules: Mapping[str, Rule], makes: tuple[str, ...], shown: int) -> tuple[int, ...]:
+    """The images that these plans fill, or that of the view's number, and that others read without filling them."""
+    plans = {plan["name"]: plan for plan in d["plans"]}
+    filled = {ref // 2 for name in makes for stage in plans[name]["stages"] for ref in written(stage)}
+    filled.add(shown)
+    results: set[int] = set()
+    for name, rule in rules.items():
+        if name in makes or set(makes).isdisjoint(rule.needs):
+            continue
+        mine: set[int] = set()
+        for stage in plans[name]["stages"]:
+            results |= {ref // 2 for ref in (*bound(stage), *counts(stage)) if ref // 2 in filled and ref // 2 not in mine}
+            mine |= {ref // 2 for ref in written(stage)}
+    return tuple(sorted(results))
