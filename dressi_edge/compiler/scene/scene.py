@@ -15,7 +15,7 @@ vjp() name.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -208,12 +208,6 @@ class Scene:
         """The view of each step, (n,), after which it begins again: order "cycle" or "shuffle"."""
         n, rng = len(self.cameras), np.random.default_rng(seed)
         return np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
-
-    def rests(self, optimize: Iterable[str]) -> bool:
-        """Whether what the cameras see stays where it is while these parameters change."""
-        views, moving = self.views, {self.parameters[name].node for name in optimize if name in self.parameters}
-        shape = [*(part.positions for part in self.parts), *(views.rows if views else ()), *([views.projection] if views else ())]
-        return moving.isdisjoint(topological(shape))
 
     def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0,
               view: Node | None = None) -> Frame:

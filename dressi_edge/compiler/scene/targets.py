@@ -108,7 +108,7 @@ class Targets:
         """The input that says which view a step of a phase sees, where the session is to say so: what depends on a view alone is then
         worked out once for each, and kept while there is memory (docs/bundle-format.md, "Views that are kept"). None where a step works it
         out from its number: of all views at once, and of a shape that moves, of which nothing could be kept."""
-        if not self.fed or self.steps is None or not scene.rests(optimize):
+        if not self.fed or self.steps is None or not _rests(scene, optimize):
             return None
         name = f"{phase}.view"
         scene.program.turned[phase] = name
@@ -158,6 +158,12 @@ class Targets:
         if self.bits == 8:
             return images.rows(k) if isinstance(images, Pictures) else np.rint(images[k] * np.float32(255.0)).astype(np.uint8)
         return images.picture(k) if isinstance(images, Pictures) else np.asarray(images[k], np.float32)
+
+
+def _rests(scene: Scene, optimize: Iterable[str]) -> bool:
+    """Whether what the cameras see stays where it is while these parameters change."""
+    moving = {scene.parameters[name].node for name in optimize if name in scene.parameters}
+    return moving.isdisjoint(topological([*(part.positions for part in scene.parts), *scene.views.rows, scene.views.projection]))
 
 
 def targets_of(scene, views: Views | None, order: str, seed: int, embed: bool = True, memory: int | None = None,
