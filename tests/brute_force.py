@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 DEGENERATE = 1e-12  # |det| of the rows (x, y, w) below which a face does not exist
+GAP = 0.02  # of the distance, between neighbours with a step of depth between them
+DOUBT = 1 / 32  # pixels
 DEPTH_SCALE = 1e3  # makes a difference of depth comparable with one of pixels in a margin
 SAME_DISTANCE = 1e-9
 
@@ -67,21 +69,23 @@ class Selection(NamedTuple):
 EDGES = np.array([(0, 1), (0, 2), (1, 2)])  # ascending corners: the direction of an edge depends on its vertices only
 
 
-def render(clip, faces, size, r, sigma=None, delta=None, layers=1, near=1e-3, attributes=None, background=None) -> Rendered:
+def render(
+    clip, faces, size, r, sigma=None, delta=None, layers=1, near=1e-3, attributes=None, background=None, edges="coverage"
+) -> Rendered:
     """Render clip (V, 4), Vulkan's clip space, and faces (F, 3) to `size` = (w, h) pixels.
 
     r: range in pixels; sigma, delta: pixels, r / 7 and r unless given; near: smallest w in front of the camera;
     attributes (V, A), interpolated as colours; background (A,) or (h, w, A), 0 unless given.
     """
-    selection = select(clip, faces, size, r, delta, layers, near)
+    selection = select(clip, faces, size, r, delta, layers, near, edges)
     return shade(selection, clip, sigma_of(r, sigma), attributes, background)
 
 
 def gradient(
-    loss, clip, faces, size, r, sigma=None, delta=None, layers=1, near=1e-3, attributes=None, background=None, h=1e-6
+    loss, clip, faces, size, r, sigma=None, delta=None, layers=1, near=1e-3, attributes=None, background=None, h=1e-6, edges="coverage"
 ) -> Gradient:
     """Central differences of `loss(Rendered) -> float` by clip and attributes, the discrete choices held as at `clip`."""
-    selection = select(clip, faces, size, r, delta, layers, near)
+    selection = select(clip, faces, size, r, delta, layers, near, edges)
     width = sigma_of(r, sigma)
     return central_differences(lambda c, a: loss(shade(selection, c, width, a, background)), clip, attributes, h)
 
@@ -109,7 +113,7 @@ def central_differences(loss, clip, attributes=None, h=1e-6) -> Gradient:
     return Gradient(by_clip, differences(attributes, range(attributes.shape[1]), lambda moved: loss(clip, moved)))
 
 
-def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
+def select(clip, faces, size, r, delta=None, layers=1, near=1e-3, edges="coverage") -> Selection:
     """Which face fills each layer of each pixel, hard or soft, by which of its edges, and the edge mask."""
     clip, faces = np.asarray(clip, np.float64), np.sort(np.asarray(faces, int).reshape(-1, 3), axis=1)
     delta = r if delta is None else delta
@@ -143,7 +147,15 @@ def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
 
     hard = inside.any(axis=0)
     reach = math.ceil(delta)
-    edge_mask = _windows(hard, reach).any(axis=(2, 3)) != _windows(hard, reach).all(axis=(2, 3))
+    hard_margin = hard_margin_of(clip, faces, pixels, size, near, inside, d, cut)
+    if edges == "coverage":
+        edge_mask = _windows(hard, reach).any(axis=(2, 3)) != _windows(hard, reach).all(axis=(2, 3))
+        mask_margin = _edge_mask_margin(hard, edge_mask, reach, hard_margin)
+    elif edges == "depth":
+        doubt = np.minimum(hard_margin, np.minimum(d, cut).min(axis=0, initial=np.inf)) < DOUBT
+        edge_mask, mask_margin = _depth_mask(clip, faces, pixels, size, hard, face, reach, doubt)
+    else:
+        edge_mask, mask_margin = np.ones((height, width), bool), np.inf
 
     # The smallest distance to another outcome that every margin has in common.
     common = np.minimum(d, cut).min(axis=0, initial=np.inf)
@@ -151,9 +163,7 @@ def select(clip, faces, size, r, delta=None, layers=1, near=1e-3) -> Selection:
     common = np.minimum(common, np.where(filled & ~layer_inside, r - layer_d, np.inf).min(axis=0))
     room = candidate.sum(axis=0) < layers
     common = np.minimum(common, np.where(room & ~candidate, d - r, np.inf).min(axis=0, initial=np.inf))
-    common = np.minimum(
-        common, _edge_mask_margin(hard, edge_mask, reach, hard_margin_of(clip, faces, pixels, size, near, inside, d, cut))
-    )
+    common = np.minimum(common, mask_margin)
     margins = [common, common, np.minimum(common, np.where(filled, per_layer(second), np.inf).min(axis=0))]
     rank = np.zeros(shape, int)
     if len(faces):
@@ -349,6 +359,26 @@ def _edge_mask_margin(hard, edge_mask, reach, hard_margin):
     margin = _windows(hard_margin, reach)
     differs = _windows(hard, reach) != hard[..., None, None]
     return np.where(edge_mask, np.where(differs, margin, 0).max(axis=(2, 3)), margin.min(axis=(2, 3)))
+
+
+def _depth_mask(clip, faces, pixels, size, hard, face, reach, doubt):
+    """The edge mask with the steps of depth, and 0 where doubtful pixels may decide it."""
+    w = np.full(hard.shape, np.nan)
+    for f, corners in enumerate(faces):
+        mine = hard & (face[0] == f)
+        w[mine] = (barycentrics(clip[corners], pixels, size) @ clip[corners, 3])[mine]
+    bits = np.where(hard, 2, 1)
+    sure, possible = np.where(doubt, 0, bits), np.where(doubt, 3, bits)
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        with np.errstate(invalid="ignore"):
+            ratio = np.maximum(w[a], w[b]) / np.minimum(w[a], w[b]) - 1
+        far, perhaps, unsure = ratio > GAP, ratio > GAP * 0.99, doubt[a] | doubt[b]
+        for at in (a, b):
+            bits[at] |= 3 * far
+            sure[at] |= 3 * ((ratio > GAP * 1.01) & ~unsure)
+            possible[at] |= 3 * (perhaps | unsure)
+    mask, least, most = (np.bitwise_or.reduce(_windows(x, reach), axis=(2, 3)) == 3 for x in (bits, sure, possible))
+    return mask, np.where(least == most, np.inf, 0.0)
 
 
 def _windows(image, reach):

@@ -10,6 +10,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
 SMALL = {  # what is given to main(), and what its numbers must say
+    "antialiasing": ({"size": (80, 60), "samples": 8}, lambda r: r["contours"] > r["outline"] + 4 > r["sharp"] + 6 > r["paper_c"] + 6),
     "image_fit": ({"steps": 150}, lambda r: r["psnr"] > 28),
     "pose": ({"size": 64, "steps": 200}, lambda r: r["start"]["degrees"] > 25 and r["end"]["degrees"] < 1 and r["end"]["shift"] < 0.02),
     "two_objects": ({"size": 64, "steps": 150}, lambda r: min(r["start"].values()) > 0.15 and max(r["end"].values()) < 0.03),

@@ -67,7 +67,8 @@ def oracle_of(softness):
     """The module, and what it needs of a Softness."""
     if softness.distance == "outline":
         return brute_force_outline, {"sigma": softness.sigma}
-    return brute_force, {"sigma": softness.sigma, "delta": softness.delta, "layers": softness.layers}
+    return brute_force, {"sigma": softness.sigma, "delta": softness.delta, "layers": softness.layers,
+                         "edges": softness.edges}
 
 
 def check(gpu, s, softness, profile="lavapipe"):
@@ -118,6 +119,26 @@ def test_r_sigma_and_delta_mean_what_the_oracle_says(gpu, softness):
     check(gpu, SCENES["tetrahedron"], softness)
 
 
+@pytest.mark.parametrize("name", ["sliver_in_front", "two_depths"])
+@pytest.mark.parametrize("softness", [Softness(2.0, layers=3, edges="depth"), Softness(2.0, layers=3, edges="all"),
+                                      Softness(3.0, delta=1.0, edges="depth")], ids=["depth", "all", "depth_narrow"])
+def test_the_edge_mask_may_have_edges_within_the_shape(gpu, name, softness):
+    """The oracle's mask, and more than that of coverage."""
+    s = SCENES[name] if name in SCENES else two_depths()
+    check(gpu, s, softness)
+    masks = [brute_force.render(s.clip, s.faces, s.size, softness.r, delta=softness.delta, near=s.near, edges=edges).edge_mask.sum()
+             for edges in ("coverage", softness.edges)]
+    assert masks[1] > masks[0] or name != "two_depths"
+
+
+def two_depths():
+    """A small square before a large one."""
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    points = np.concatenate([np.column_stack([corners * 1.1, np.zeros(4)]), np.column_stack([corners * 0.4 + 0.1, np.ones(4)])])
+    faces = np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)])
+    return Scene(project(points - (0, 0, 4), (28, 26)), faces, (28, 26), np.random.default_rng(3).uniform(0, 1, (8, 3)))
+
+
 @pytest.mark.parametrize("profile, softness", [
     ("limit4", Softness(3.0)), ("raspberry_pi_4", Softness(3.0)), ("limit4", Softness(3.0, distance="face")),
     ("limit8", Softness(3.0, layers=2)), pytest.param("limit4", Softness(3.0, layers=3), marks=pytest.mark.full),
@@ -128,7 +149,8 @@ def test_a_small_device_profile_gives_the_same_image_and_gradient(gpu, profile, 
 
 @pytest.mark.parametrize("bad", [
     {"r": 0.0}, {"r": np.nan}, {"sigma": 0.0}, {"sigma": np.inf}, {"delta": -1.0}, {"layers": 0}, {"layers": 6},
-    {"distance": "edge"}, {"distance": "outline", "layers": 2}, {"distance": "outline", "delta": 2.0}], ids=str)
+    {"distance": "edge"}, {"edges": "faces"}, {"edges": "depth", "distance": "outline"},
+    {"distance": "outline", "layers": 2}, {"distance": "outline", "delta": 2.0}], ids=str)
 def test_softness_that_cannot_be_drawn_is_an_error(bad):
     with pytest.raises(InputError, match="needed|allowed|one layer"):
         Softness(**bad)

@@ -68,6 +68,7 @@ def test_the_albedo_is_what_a_phase_optimizes(tmp_path, change, expected):
 
 def test_r_fraction_counts_the_larger_side_and_a_phase_overrides_render(tmp_path):
     assert softness_of({"r": None, "r_fraction": 0.25}, 24).r == 6.0
+    assert softness_of({"edges": "depth"}, 24).distance == "face"
     assert load_job(write_job(tmp_path, replaced("r = 2.0", "r_fraction = 0.1"))).phases
     assert load_job(write_job(tmp_path, replaced("delta = 0.0", "r_fraction = 0.1"))).phases
 
@@ -100,6 +101,8 @@ def test_a_parameters_table_is_its_optimizer(given, expected):
     ("r = 2.0", "r = 2.0\nr_fraction = 0.1", "r (pixels) and r_fraction"),
     ("r = 2.0", "layers = 9", "render.layers is 9; a whole number from 1 to 5 is needed"),
     ("r = 2.0", "layers = 1.5", "render.layers is 1.5; a whole number from 1 to 5 is needed"),
+    ("r = 2.0", "edges = \"depths\"", "render.edges is 'depths'; did you mean depth? allowed: coverage depth all"),
+    ("r = 2.0", "distance = \"outline\"\nedges = \"depth\"", "distance outline is for one layer, without delta and edges"),
     ("r = 2.0", "background = [0, 0]", "render.background is [0, 0]; a list of 3 numbers is needed"),
     ("r = 2.0", "background = [0, 0, 2]", "render.background.2 is 2; a number from 0 to 1 is needed"),
     ("r = 2.0", "shading = \"lambertian\"", "render.shading is 'lambertian'; did you mean lambert? allowed: unlit lambert"),

@@ -24,7 +24,7 @@ from ..render.light import KINDS as LIGHTS
 from ..render.light import PLACED, Light, Shadow
 from ..render.octahedron import SIZES, octahedral
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
-from ..render.raster import DISTANCES, MAX_LAYERS, Softness
+from ..render.raster import DISTANCES, EDGES, MAX_LAYERS, Softness
 from ..render.schedule import Schedule
 from ..render.tone import CURVES, Tone
 from .scene import Scene
@@ -35,7 +35,7 @@ ENVIRONMENT = ("path", "radiance", "size", "rotation", "strength", "background")
 LIGHT = ("kind", "power", "vector", "direction", "cone", "shadow")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "hull", "normalize", "texture")
-SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance")
+SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance", "edges")
 ADAM = ("rate", "betas", "epsilon")
 OPTIMIZERS = {"adam": (Adam, ADAM), "adamw": (AdamW, (*ADAM, "decay")), "adam_uniform": (AdamUniform, (*ADAM, "shared")),
               "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
@@ -161,7 +161,8 @@ def soft(t: Table) -> dict:
         raise t.conflict("r (pixels) and r_fraction (of the image's larger side) are both given; give one")
     soft = {"r": t.number("r", None, 0.0, above=True), "r_fraction": t.number("r_fraction", None, 0.0, 1.0, above=True),
             "sigma": t.number("sigma", None, 0.0, above=True), "delta": t.number("delta", None, 0.0),
-            "layers": t.number("layers", None, 1, MAX_LAYERS, whole=True), "distance": t.word("distance", None, DISTANCES)}
+            "layers": t.number("layers", None, 1, MAX_LAYERS, whole=True), "distance": t.word("distance", None, DISTANCES),
+            "edges": t.word("edges", None, EDGES)}
     soft = {k: x for k, x in soft.items() if x is not None}
     if "r" in soft or "r_fraction" in soft:  # either replaces the other of an outer table
         soft = {"r": None, "r_fraction": None, **soft}
@@ -170,7 +171,8 @@ def soft(t: Table) -> dict:
 
 def softness_of(soft: dict, side: int) -> Softness:
     r = soft["r_fraction"] * side if soft.get("r_fraction") else soft.get("r") or 2.0
-    return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"))
+    return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"),
+                    soft.get("edges", "coverage"))
 
 
 def _shadow_of(t: Table) -> Shadow | None:

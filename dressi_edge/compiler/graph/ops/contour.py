@@ -104,6 +104,40 @@ op("stepped", "depth", attrs="width height gap", reads="texel", ref=_stepped_ref
        "its distance, both being somewhere.")
 
 
+def _depth_steps_ref(depth, gap, cell_w, cell_h):
+    h, w, _ = depth.shape
+    d = depth[..., 0].reshape(h // cell_h, cell_h, w // cell_w, cell_w)
+    jump = np.zeros(d.shape, bool)
+    for axis in (1, 3):
+        a, b = (np.take(d, at, axis) for at in (np.arange(d.shape[axis] - 1), np.arange(1, d.shape[axis])))
+        far = (np.minimum(a, b) > 0) & (np.maximum(a, b) > np.minimum(a, b) * (1 + gap))
+        ends = [(0, 0)] * 4
+        for k in (0, 1):
+            ends[axis] = (k, 1 - k)
+            jump |= np.pad(far, ends)
+    return np.where(jump, -2, np.where(d > 0, 0, -1)).reshape(h, w, 1)
+
+
+def _depth_steps_infer(name, inputs, attrs):
+    e = inputs[0].extent
+    if min(attrs["cell_w"], attrs["cell_h"]) < 1 or e.width % attrs["cell_w"] or e.height % attrs["cell_h"]:
+        raise GraphError(f"{name}: {inputs[0]!r} is not made of whole cells of {attrs['cell_w']} x {attrs['cell_h']}")
+    return "int", e
+
+
+op("depth_steps", "depth", attrs="gap cell_w cell_h", reads="texel", ref=_depth_steps_ref, cost=30, infer=_depth_steps_infer,
+   glsl="""{ ivec2 size_ = ivec2({cell_w}, {cell_h}), c_ = {p} / size_ * size_, l_ = c_ + size_ - 1;
+    float d_ = {depth}({p});
+    vec4 n_ = vec4({depth}(ivec2(min({p}.x + 1, l_.x), {p}.y)), {depth}(ivec2(max({p}.x - 1, c_.x), {p}.y)),
+                   {depth}(ivec2({p}.x, min({p}.y + 1, l_.y))), {depth}(ivec2({p}.x, max({p}.y - 1, c_.y))));
+    vec4 low_ = min(n_, vec4(d_)), high_ = max(n_, vec4(d_));
+    vec4 step_ = vec4(greaterThan(high_, low_ * (1.0 + float({gap})))) * vec4(greaterThan(low_, vec4(0.0)));
+    {y} = step_.x + step_.y + step_.z + step_.w > 0.0 ? -2 : d_ > 0.0 ? 0 : -1; }""",
+   sample=lambda rng: ([np.repeat(rng.choice([0.0, 1.0, 1.2], (9, 10, 1)), 2, 0)], {"cell_w": 5, "cell_h": 6, "gap": 0.1}),
+   doc="-1 where there is no depth, -2 where a neighbour in the cell is further or nearer by more than `gap` times the nearer one's "
+       "distance, both being somewhere, 0 elsewhere.")
+
+
 def _ends_ref(clip, edges, edge_count, vertices, views, near):
     w, v = clip.reshape(-1, 4)[:views * vertices, 3].reshape(views, vertices), edges.reshape(-1, 4)[:edge_count]
     ends = np.stack([w[:, v[:, 0]], w[:, v[:, 1]]], -1).reshape(-1, 2)

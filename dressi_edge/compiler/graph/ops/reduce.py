@@ -133,8 +133,18 @@ def spread(tiles: np.ndarray, width: int, height: int, tile: tuple[int, int]) ->
     return tiles.repeat(tile[1], 0).repeat(tile[0], 1)[:height, :width]
 
 
-def _edge_tiles_ref(front, reach, tile):
-    bits = np.where(front[..., 0] >= 0, 2, 1)
+def _bits(front: np.ndarray, steps: bool) -> np.ndarray:
+    """2 where a pixel is covered, 1 where it is not; with `steps` 3 where it is an edge by itself, which is -2."""
+    return np.where(front >= 0, 2, np.where(front == -1, 1, 3) if steps else 1)
+
+
+def _with_bits(glsl: str):
+    return lambda node: glsl.replace("BITS", "{front}(ivec2(a_, b_)) >= 0 ? 2 : " + (
+        "({front}(ivec2(a_, b_)) == -1 ? 1 : 3)" if node.attrs.get("steps") else "1"))
+
+
+def _edge_tiles_ref(front, reach, tile, steps=False):
+    bits = _bits(front, steps)[..., 0]
     h, w = bits.shape
     out = [[np.bitwise_or.reduce(bits[max(y - reach, 0):y + tile[1] + reach, max(x - reach, 0):x + tile[0] + reach], axis=None) == 3
             for x in range(0, w, tile[0])] for y in range(0, h, tile[1])]
@@ -142,12 +152,12 @@ def _edge_tiles_ref(front, reach, tile):
 
 
 op("edge_tiles", "front", infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, *attrs["tile"])), reads="texel",
-   ref=_edge_tiles_ref, cost=400,
-   glsl="""{ ivec2 size_ = ivec2{tile}, lo_ = max({p} * size_ - {reach}, ivec2(0));
+   ref=_edge_tiles_ref, cost=400, attrs="reach tile steps?",
+   glsl=_with_bits("""{ ivec2 size_ = ivec2{tile}, lo_ = max({p} * size_ - {reach}, ivec2(0));
     ivec2 hi_ = min({p} * size_ + size_ + {reach}, ivec2({front_w}, {front_h}));
     int near_ = 0;
-    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) near_ |= {front}(ivec2(a_, b_)) >= 0 ? 2 : 1;
-    {y} = near_ == 3 ? 1 : 0; }""",
+    for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) near_ |= BITS;
+    {y} = near_ == 3 ? 1 : 0; }"""),
    sample=lambda rng: ([np.where(np.add.outer(np.arange(20), np.arange(35)) > 30, 3, -1)[..., None]], {"reach": 2, "tile": (16, 8)}),
    doc="1 for tiles that have covered and other pixels within `reach` pixels: only those can hold pixels of the edge mask.")
 
@@ -183,20 +193,20 @@ _BOUNDS = """ivec2 c_ = {p} / ivec2({cell_w}, {cell_h}) * ivec2({cell_w}, {cell_
     ivec2 lo_ = max({p} - ivec2({dx}, {dy}), c_), hi_ = min({p} + ivec2({dx}, {dy}), c_ + ivec2({cell_w} - 1, {cell_h} - 1));"""
 
 
-def _covered_window_ref(front, tiles, tile, **attrs):
-    return _window_ref(np.where(front >= 0, 2, 1), **attrs) * spread(tiles, front.shape[1], front.shape[0], tile)
+def _covered_window_ref(front, tiles, tile, steps=False, **attrs):
+    return _window_ref(_bits(front, steps), **attrs) * spread(tiles, front.shape[1], front.shape[0], tile)
 
 
 def _edge_mask_ref(across, tiles, tile, **attrs):
     return ((_window_ref(across, **attrs) == 3) & (spread(tiles, across.shape[1], across.shape[0], tile) != 0)).astype(np.int64)
 
 
-op("covered_window", "front tiles", attrs=_WINDOW, infer=_window_infer, reads="texel tile", cost=50,
+op("covered_window", "front tiles", attrs=_WINDOW + " steps?", infer=_window_infer, reads="texel tile", cost=50,
    when=flag(1), ref=_covered_window_ref,
-   glsl="{ " + _BOUNDS + """
+   glsl=_with_bits("{ " + _BOUNDS + """
     {y} = 0;
-    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {y} |= {front}(ivec2(a_, b_)) >= 0 ? 2 : 1;
-    if ({tiles} == 0) {y} = 0; }""",
+    for (int b_ = lo_.y; b_ <= hi_.y; ++b_) for (int a_ = lo_.x; a_ <= hi_.x; ++a_) {y} |= BITS;
+    if ({tiles} == 0) {y} = 0; }"""),
    sample=lambda rng: ([rng.integers(-1, 2, (12, 10, 1)), rng.integers(0, 2, (1, 1, 1))],
                        {"dx": 2, "dy": 1, "cell_w": 5, "cell_h": 6, "tile": (16, 16)}),
    doc="Window of the frontal stencil S^H: bit 1 where a covered pixel is in it, bit 0 where an uncovered one is.")

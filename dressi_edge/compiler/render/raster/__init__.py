@@ -4,7 +4,7 @@ from .fragments import Fragments, Layer, Span, near_faces
 from .layers import PeeledFragments
 from .outline import OutlineFragments
 from .renderer import HardSoftRas, Outline, Renderer, rasterized, renderer_of
-from .softness import DISTANCES, MAX_LAYERS, Softness
+from .softness import DISTANCES, EDGES, MAX_LAYERS, Softness
 
-__all__ = ["Binned", "BinnedFragments", "DISTANCES", "Fragments", "HardSoftRas", "Layer", "MAX_LAYERS", "Outline", "OutlineFragments",
-           "PeeledFragments", "Renderer", "Softness", "Span", "near_faces", "rasterized", "renderer_of"]
+__all__ = ["Binned", "BinnedFragments", "DISTANCES", "EDGES", "Fragments", "HardSoftRas", "Layer", "MAX_LAYERS", "Outline",
+           "OutlineFragments", "PeeledFragments", "Renderer", "Softness", "Span", "near_faces", "rasterized", "renderer_of"]

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 from ...graph.functions import apply, compose, constant_table, lookup, maximum, select, sigmoid, stop_gradient
 from ...graph.ir import Node
+from ...graph.ops.reduce import tiles_of
 from ..atlas import Atlas
 from ..topology import Topology
 from .fragments import BIN, GUARDED, Fragments, Layer, around, listed_boxes
 from .softness import Softness
+
+GAP = 0.02  # by which fraction of its distance one pixel must be nearer than the next to be an edge
 
 
 class PeeledFragments(Fragments):
@@ -21,18 +24,34 @@ class PeeledFragments(Fragments):
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool):
         super().__init__(clip, topology, atlas, softness, near, faces)
-        tiles = apply("edge_tiles", self.front, reach=softness.reach, tile=GUARDED)
-        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": GUARDED}
-        across = apply("covered_window", self.front, tiles, dx=softness.reach, dy=0, **window)
-        mask = apply("edge_mask", across, tiles, dx=0, dy=softness.reach, **window)
-        self.edge_mask = apply("inside_tiles", mask, tiles, tile=GUARDED)  # guards do not see what is absent behind an image
-        self.bins = apply("marked", mask, width=BIN[0], height=BIN[1])
+        self.edge_mask, self.bins = self._edges(topology, atlas, softness)
         codes = [select(self.edge_mask, code, -1) for code in self._peels()]
         if faces:
             codes[0] = select(codes[0] >= 0, codes[0], select(self.front >= 0, self.front * 2 + 1, -1))
         edges = [apply("nearest_edge", code, constant_table(topology.face_edges), self.segments, self.position,
                        self.edge_mask, face_count=len(topology.faces), edge_count=len(topology.edges)) for code in codes]
         self.layers = [self._layer(*of) for of in zip(codes, edges, self._segments_of(edges))]
+
+    def _edges(self, topology: Topology, atlas: Atlas, softness: Softness) -> tuple[Node, Node]:
+        """The edge mask, and the bins in which it is 1."""
+        if softness.edges == "all":
+            mask = apply("broadcast", apply("literal", value=1), extent=atlas.extent)
+            return mask, apply("broadcast", apply("literal", value=1), extent=tiles_of(atlas.extent, *BIN))
+        front = self.front if softness.edges == "coverage" else self._steps(topology, atlas)
+        steps = {} if front is self.front else {"steps": True}
+        tiles = apply("edge_tiles", front, reach=softness.reach, tile=GUARDED, **steps)
+        window = {"cell_w": atlas.width, "cell_h": atlas.height, "tile": GUARDED}
+        across = apply("covered_window", front, tiles, dx=softness.reach, dy=0, **window, **steps)
+        mask = apply("edge_mask", across, tiles, dx=0, dy=softness.reach, **window)
+        marked = apply("marked", mask, width=BIN[0], height=BIN[1])
+        return apply("inside_tiles", mask, tiles, tile=GUARDED), marked  # guards do not see what is absent behind an image
+
+    def _steps(self, topology: Topology, atlas: Atlas) -> Node:
+        """What is covered, with the pixels that a neighbour of another depth makes edges."""
+        front = self._front()
+        depth = apply("front_depth", front, stop_gradient(self.clip), constant_table(topology.sorted_faces), self.position,
+                      face_count=len(topology.faces), vertices=topology.vertex_count, cell_w=atlas.width, cell_h=atlas.height)
+        return apply("depth_steps", depth, gap=GAP, cell_w=atlas.width, cell_h=atlas.height)
 
     def _peels(self) -> list[Node]:
         """The codes of each layer; of use in the edge mask alone."""
@@ -47,9 +66,12 @@ class PeeledFragments(Fragments):
         return [code.x for code in codes]
 
     def _segments_of(self, edges: Sequence[Node]) -> list[Node]:
-        """The segment of each layer's edge. No pixel of the mask is further from it than `reach`."""
+        """The segment of each layer's edge. No pixel of a mask of coverage is further from it than `reach`; of another mask those that
+        are have no gradient that fp32 could tell from 0."""
         count, s = len(self.topology.edges), self.segments
         reach = max(self.softness.r, math.sqrt(2) * self.softness.reach) + 0.05
+        if self.softness.edges != "coverage":
+            reach = max(reach, 17.0 * self.softness.width)
         boxes = around(s, s.x < 1e8, reach, self._view(count), self.atlas)
         listed = listed_boxes(boxes, self.bins, each=1)
         segments = self._listed_segments(listed)

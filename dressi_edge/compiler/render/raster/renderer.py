@@ -57,19 +57,21 @@ class Outline:
 @dataclass(frozen=True)
 class HardSoftRas:
     """The paper's (3.4): `layers` depth peels of faces enlarged by r, alpha by the distance to the edges of each. delta: half width of the
-    edge mask, r unless given; all in pixels. Raises InputError."""
+    edge mask, r unless given; all in pixels. edges: where the mask has its edges, "coverage" (the paper's), "depth" or "all"
+    (`Softness`). Raises InputError."""
 
     r: float = 2.0
     layers: int = 1
     sigma: float | None = None
     delta: float | None = None
+    edges: str = "coverage"
 
     def __post_init__(self) -> None:
         self.softness  # noqa: B018  (checks the numbers)
 
     @property
     def softness(self) -> Softness:
-        return Softness(self.r, self.sigma, self.delta, self.layers, "face")
+        return Softness(self.r, self.sigma, self.delta, self.layers, "face", self.edges)
 
     def draw(self, clip: Node, topology: Topology, atlas: Atlas, near: float, faces: bool) -> PeeledFragments:
         """See `Renderer.draw`."""
@@ -80,7 +82,7 @@ def renderer_of(softness: Softness) -> Outline | HardSoftRas:
     """The renderer that these settings mean."""
     if softness.distance == "outline":
         return Outline(softness.r, softness.sigma)
-    return HardSoftRas(softness.r, softness.layers, softness.sigma, softness.delta)
+    return HardSoftRas(softness.r, softness.layers, softness.sigma, softness.delta, softness.edges)
 
 
 def rasterized(clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, faces: bool = True) -> Fragments:

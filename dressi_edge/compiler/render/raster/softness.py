@@ -8,6 +8,7 @@ from ....cache.errors import InputError
 
 MAX_LAYERS = 5
 DISTANCES = ("outline", "face")
+EDGES = ("coverage", "depth", "all")
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,9 @@ class Softness:
     "outline", for one layer, is to the nearest fold or boundary edge of the mesh and softens only pixels beside the outline, so that
     edges inside the shape do not count: its gradient is nearer to that of covered area (docs/numerics.md) and costs less. By default
     outline for one layer without a delta, face otherwise.
+
+    edges, of distance "face": where the edge mask has its edges. "coverage" is the paper's, beside uncovered pixels; "depth": also where
+    neighbours are not equally far away (docs/conventions.md); "all": it is 1 everywhere, as in the paper's Figure 7 (c).
     """
 
     r: float = 2.0
@@ -25,6 +29,7 @@ class Softness:
     delta: float | None = None
     layers: int = 1
     distance: str | None = None
+    edges: str = "coverage"
 
     def __post_init__(self):
         if not (math.isfinite(self.r) and self.r > 0):
@@ -37,13 +42,15 @@ class Softness:
             raise InputError(f"delta is {self.delta} pixels; a number >= 0 is needed")
         if not 1 <= self.layers <= MAX_LAYERS:
             raise InputError(f"K is {self.layers}; 1 to {MAX_LAYERS} layers are allowed")
-        one = self.layers == 1 and self.delta is None
+        if self.edges not in EDGES:
+            raise InputError(f"edges is {self.edges!r:.40}; allowed: {' '.join(EDGES)}")
+        one = self.layers == 1 and self.delta is None and self.edges == "coverage"
         if self.distance is None:
             object.__setattr__(self, "distance", "outline" if one else "face")
         if self.distance not in DISTANCES:
             raise InputError(f"distance is {self.distance!r}; allowed: {' '.join(DISTANCES)}")
         if self.distance == "outline" and not one:
-            raise InputError("distance outline is for one layer and has no delta; distance face has both")
+            raise InputError("distance outline is for one layer, without delta and edges; distance face has them")
 
     @property
     def width(self) -> float:
