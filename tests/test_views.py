@@ -432,6 +432,29 @@ def test_pictures_are_averaged_as_they_are_read(tmp_path, size):
         assert np.array_equal(images[2], downsampled(np.asarray(pixels[2] / np.float32(255.0), np.float32), size)), "8 bits or float"
 
 
+@pytest.mark.parametrize("size", [(40, 30), (20, 15), (33, 17), (7, 30), (1, 1)])
+@pytest.mark.parametrize("filled", [None, (0, 60, 0, 80), (13, 14, 31, 32), (0, 1, 0, 1), (59, 60, 79, 80), (20, 47, 33, 61)])
+def test_what_is_empty_is_left_out_and_changes_nothing(size, filled):
+    """Of 80x60 pixels those in some rows and columns: what is averaged of all of them, to the bit, and zero where nothing is near."""
+    rng = np.random.default_rng(5)
+    image, full = np.zeros((60, 80, 4), np.uint8), rng.integers(0, 256, (60, 80, 4), np.uint8)
+    if filled is not None:
+        r0, r1, c0, c1 = filled
+        image[r0:r1, c0:c1] = np.maximum(full[r0:r1, c0:c1], 1)
+    found = downsampled(image, size)
+    assert found.dtype == np.float32 and found.shape == (size[1], size[0], 4) and np.isfinite(found).all()
+    seen = image.copy()
+    seen[..., 3] = np.maximum(seen[..., 3], 1)  # nothing can be left out now, and the rest weighs next to nothing
+    assert np.allclose(downsampled(seen, size)[..., 3], found[..., 3], atol=1.1 / 255.0)
+    light = srgb_to_linear(image[..., :3] / 255.0) * (image[..., 3:] / 255.0)
+    kept = srgb_to_linear(found[..., :3].astype(float)) * found[..., 3:]
+    assert np.allclose(kept.mean((0, 1)), light.mean((0, 1)), atol=1e-6) and np.isclose(found[..., 3].mean(), image[..., 3].mean() / 255.0)
+    if filled is not None:
+        far = [slice(0, r0 * size[1] // 60), slice(-(-r1 * size[1] // 60), None)]
+        assert all((found[rows] == 0.0).all() for rows in far)
+    assert (found[..., :3][found[..., 3] == 0.0] == 0.0).all()
+
+
 def test_masks_are_known_of_files_and_of_arrays(tmp_path):
     files, pixels = a_set(tmp_path)
     pixels[..., 3] = 0
