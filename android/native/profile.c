@@ -105,7 +105,25 @@ static void say_capabilities(Text *text, const dressi_device *d) {
     say(text, "\n      }\n");
 }
 
-static void say_profile(Text *text, const dressi_device *d, const char *name, const char *date) {
+/* Texels a row from which on the driver does not pad a table of 2^14 vec4s to more than half as much again; 4, or 8 to 64. As `table_width` of
+   dressi_edge/commands/profiles.py. */
+static uint32_t table_width(Call *call, const dressi_device *d) {
+    const uint32_t entries = 1 << 14;
+    uint32_t width = 4;
+    for (;; width *= 2) {
+        VkImageCreateInfo info = {TYPE(IMAGE_CREATE_INFO), .imageType = VK_IMAGE_TYPE_2D, .format = VK_FORMAT_R32G32B32A32_SFLOAT,
+            .extent = {width, entries / width, 1}, .mipLevels = 1, .arrayLayers = 1, .samples = VK_SAMPLE_COUNT_1_BIT,
+            .usage = VK_IMAGE_USAGE_COLOR_ATTACHMENT_BIT | VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_TRANSFER_DST_BIT};
+        VkImage image;
+        VkMemoryRequirements needs;
+        MUST(call, &d->vk, CreateImage, d->device, &info, NULL, &image);
+        d->vk.GetImageMemoryRequirements(d->device, image, &needs);
+        d->vk.DestroyImage(d->device, image, NULL);
+        if (width == 64 || 2 * needs.size <= (VkDeviceSize)3 * 16 * entries) return width;
+    }
+}
+
+static void say_profile(Text *text, const dressi_device *d, const char *name, const char *date, uint32_t width) {
     uint32_t version = d->properties.apiVersion;
     Text about = {0}, source = {0};
     say(&about, "%s, %s, as found", d->properties.deviceName, d->driver);
@@ -123,7 +141,9 @@ static void say_profile(Text *text, const dressi_device *d, const char *name, co
     say(text, "          \"author\": \"dressi_edge\",\n          \"comment\": \"\"\n        }\n      ],\n");
     say(text, "      \"capabilities\": [\"%s\"]\n    }\n  },\n  \"dressi_edge\": {\n    \"description\": ", name);
     if (!text->broken) say_json(text, about.at);
-    say(text, ",\n    \"tile_bits\": null,\n    \"max_merged_attachments\": null,\n    \"max_live\": null,\n    \"prefer_fp16\": false,\n");
+    say(text, ",\n    \"tile_bits\": null,\n    \"max_merged_attachments\": null,\n    \"max_live\": null,\n");
+    if (width > 4) say(text, "    \"table_width\": %u,\n", width);
+    say(text, "    \"prefer_fp16\": false,\n");
     say(text, "    \"sources\": {\n      \"*\": {\n        \"source\": ");
     if (!text->broken) say_json(text, source.at);
     say(text, ",\n        \"status\": \"measured\"\n      }\n    }\n  }\n}\n");
@@ -148,7 +168,7 @@ char *dressi_device_profile(const dressi_device *device, const char *name, const
     if (!setjmp(call.out)) {
         if (!is_name(name)) fail(&call, DRESSI_INPUT, "profile name '%.78s': 1 to 64 of a-z, 0-9 and _ are allowed", name);
         if (!is_date(date)) fail(&call, DRESSI_INPUT, "date '%.78s': one like 2025-01-31 is needed", date);
-        say_profile(&text, device, name, date);
+        say_profile(&text, device, name, date, table_width(&call, device));
         if (text.broken) fail(&call, DRESSI_MEMORY, "no memory for the profile");
     }
     if (!told(&call, error)) return text.at;

@@ -38,7 +38,8 @@ if TYPE_CHECKING:  # files, JSON and suggestions are imported where they are use
     from pathlib import Path
 
 STATUS = ("measured", "specified", "assumed")  # best first
-BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "prefer_fp16", "compute", "sources")
+BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "table_width", "prefer_fp16", "compute", "sources")
+TABLE_WIDTHS = (8, 16, 32, 64)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class Profile:
     """What a device allows. `limits`, `features` and `formats` hold only what is stated; ask `limit`, `feature` and
     `format_has` for the value in force. `tile_bits`: colour bits a pixel that fit in tile memory; `max_merged_attachments`:
     attachments over merged subpasses; `max_live`: 32-bit numbers that a shader may hold at once before its compiler spills them;
-    None means no such rule is known. `compute`: what is best dispatched, not drawn, one of
+    `table_width`: texels a row in which tables are best kept, since narrower rows are padded to about that; None means no such rule is
+    known. `compute`: what is best dispatched, not drawn, one of
     `limits.COMPUTE`."""
 
     name: str
@@ -57,6 +59,7 @@ class Profile:
     tile_bits: int | None = None
     max_merged_attachments: int | None = None
     max_live: int | None = None
+    table_width: int | None = None
     prefer_fp16: bool = False
     compute: str = "none"
     sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -183,6 +186,7 @@ def canonical(profile: Profile) -> dict:
         "tile_bits": profile.tile_bits,
         "max_merged_attachments": profile.max_merged_attachments,
         **({} if profile.max_live is None else {"max_live": profile.max_live}),
+        **({} if profile.table_width is None else {"table_width": profile.table_width}),
         "prefer_fp16": profile.prefer_fp16,
         **({} if profile.compute == "none" else {"compute": profile.compute}),
     }
@@ -214,6 +218,7 @@ def merge(profiles: Iterable[Profile], name: str) -> Profile:
         max_merged_attachments=min(
             (p.max_merged_attachments for p in members if p.max_merged_attachments is not None), default=None),
         max_live=min((p.max_live for p in members if p.max_live is not None), default=None),
+        table_width=max((p.table_width for p in members if p.table_width is not None), default=None),
         prefer_fp16=all(p.prefer_fp16 for p in members),
         compute=min((p.compute for p in members), key=COMPUTE.index),
         sources=sources | {"*": {"source": f"merged from {names}", "status": worst}},

@@ -10,7 +10,7 @@ import re
 from .errors import ProfileError
 from .files import read_regular
 from .limits import COMPUTE, FEATURES, FORMAT_FEATURES, FORMATS, FROM_VK, LIMITS, an_object, limit_value, nearest, number, show, typed
-from .profile import BLOCK, STATUS, Profile, from_device
+from .profile import BLOCK, STATUS, TABLE_WIDTHS, Profile, from_device
 
 SCHEMA = "https://schema.khronos.org/vulkan/profiles-0.8-latest.json#"
 MAX_FILE_BYTES = 1 << 20
@@ -105,6 +105,10 @@ def _own(block, where: str) -> dict:
         at = f"{where}: {k}"
         if k in ("tile_bits", "max_merged_attachments", "max_live"):
             out[k] = None if v is None else number(v, at, 1)
+        elif k == "table_width":
+            if v is not None and number(v, at) not in TABLE_WIDTHS:
+                raise ProfileError(f"{at}: must be one of {' '.join(map(str, TABLE_WIDTHS))}, or null, found {show(v)}")
+            out[k] = v
         elif k == "prefer_fp16":
             out[k] = typed(v, bool, at)
         elif k == "compute":
@@ -145,7 +149,8 @@ def to_json(profile: Profile) -> str:
         capability["formats"] = {f"VK_FORMAT_{k}": {"VkFormatProperties": {
             "linearTilingFeatures": [], "optimalTilingFeatures": sorted(FORMAT_FEATURES[f] for f in v), "bufferFeatures": []}}
             for k, v in profile.formats.items()}
-    own = {k: getattr(profile, k) for k in BLOCK[:-1] if k != "compute" or profile.compute != "none"}
+    own = {k: getattr(profile, k) for k in BLOCK[:-1]
+           if (k != "compute" or profile.compute != "none") and (k != "table_width" or profile.table_width is not None)}
     own["sources"] = {k: dict(v) for k, v in profile.sources.items()}
     about = {"version": 1, "api-version": profile.api_version, "label": profile.name, "description": profile.description,
              "contributors": {}, "history": [{"revision": 1, "date": profile.date, "author": "dressi_edge", "comment": ""}],

@@ -15,6 +15,11 @@ def image_bytes(image: Mapping) -> int:
     return v.TEXEL_BYTES[image["format"]] * image["width"] * image["height"]
 
 
+def padded_bytes(d: Mapping, texels: int) -> int:
+    """Bytes of all images if each row is filled up to whole so many texels."""
+    return sum(image_bytes({**i, "width": -(-i["width"] // texels) * texels}) * i["slots"] for i in d["images"])
+
+
 def stage_bytes(d: Mapping, stage: Mapping) -> int:
     """Bytes a render pass moves between images and the GPU: every attachment it loads, every one it stores, and once a subpass
     every image that is sampled there. Input attachments stay where they are; reuse by a cache is not counted."""
@@ -68,11 +73,18 @@ def _size(count: float) -> str:
     return f"{count:.3g} GB"
 
 
+def _padding(d: Mapping) -> str:
+    """What images take on a device that fills rows up as the profile says; to the byte: `inspect --statistics` on it."""
+    width = d["meta"].get("table_width")
+    known = type(width) is int and 0 < width <= 1 << 16
+    return f", {_size(padded_bytes(d, width))} in rows of whole {width} texels" if known else ""
+
+
 def text(d: Mapping) -> str:
     """The summary and every stage, for people."""
     lines = [f"profile {d['profile']['name']}: {len(d['plans'])} plans, {len(d['pipelines']) + len(d.get('computes', ()))} pipelines, "
              f"{len(d['shaders'])} shaders, {len(d['images'])} images of "
-             f"{_size(sum(image_bytes(i) * i['slots'] for i in d['images']))}", ""]
+             f"{_size(padded_bytes(d, 1))}{_padding(d)}", ""]
     for plan in d["plans"]:
         s = summary({**d, "plans": [plan]})[plan["name"]]
         known = "" if s["functions"] is None else f"{s['functions']} functions, "

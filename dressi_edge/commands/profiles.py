@@ -5,10 +5,12 @@ import sys
 
 from ..cache.errors import ProfileError
 from ..cache.limits import FORMAT_FEATURES, FORMATS
-from ..cache.profile import Profile, from_device, merge, profile_names
+from ..cache.profile import TABLE_WIDTHS, Profile, from_device, merge, profile_names
 from ..cache.profile_check import check
 from ..cache.profile_file import to_json
 from .files import check_folder, print_json, write_file
+
+SAMPLE = 1 << 14  # entries
 
 
 def list_all(args) -> None:
@@ -62,8 +64,23 @@ def capture(args) -> None:
         profile = from_device(device.limits, device.features, formats, name,
                               description=f"{device.name}, {device.driver}, as found",
                               source=f"reported by {device.driver} for {device.name}, {day}", date=day,
-                              api_version=".".join(map(str, device.api_version)))
+                              api_version=".".join(map(str, device.api_version)), table_width=table_width(device))
     _give(profile, args.output)
+
+
+def table_width(device) -> int | None:
+    """Texels a row from which on this driver does not pad a table of `SAMPLE` vec4s to more than half as much again; None for 4 texels, as
+    wide as tables are by themselves. Nothing is allocated."""
+    from ..cache.layout import table_size
+    from ..cache.vulkan import FORMATS, TEXEL_BYTES, USAGE_COLOR, USAGE_SAMPLED, USAGE_TRANSFER_DST
+    from ..runtime.memory import requirements
+    own, _ = table_size(SAMPLE)
+    number = FORMATS["R32G32B32A32_SFLOAT"]
+    for width in (own, *TABLE_WIDTHS):
+        record = {"format": number, "width": width, "height": SAMPLE // width, "usage": USAGE_COLOR | USAGE_SAMPLED | USAGE_TRANSFER_DST}
+        if 2 * requirements(device, record).size <= 3 * SAMPLE * TEXEL_BYTES[number]:
+            break
+    return None if width == own else width
 
 
 def _format_flags() -> tuple[str, ...]:

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ..cache import vulkan as v
 from ..cache.errors import DeviceError
 from ..cache.summary import image_bytes, size
 from ..runtime import vk
+from ..runtime.memory import requirements
 from ..runtime.pipelines import Compute, Pipelines
 
 # Ours -> the drivers' (RADV, Turnip, Honeykrisp, NVK, PanVK, V3DV, PowerVR), those of one driver added up.
@@ -125,14 +125,8 @@ def image_memory(device, bundle) -> tuple[int, int]:
     d, raw, taken = bundle.description, 0, 0
     depth = _depth_format(device, d)
     for record in d["images"]:
-        image = vk.CreateImage(device.device, vk.VkImageCreateInfo(
-            imageType=vk.VK_IMAGE_TYPE_2D, format=record["format"] or depth, extent=(record["width"], record["height"], 1), mipLevels=1,
-            arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
-            usage=record["usage"] | (v.USAGE_TRANSFER_DST if record["format"] else 0), sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE,
-            initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
         raw += image_bytes(record) * record["slots"]
-        taken += vk.GetImageMemoryRequirements(device.device, image).size * record["slots"]
-        vk.DestroyImage(device.device, image)
+        taken += requirements(device, record, depth).size * record["slots"]
     return raw, taken
 
 

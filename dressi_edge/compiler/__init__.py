@@ -21,6 +21,7 @@ from .backend.check import check, check_kinds
 from .backend.describe import describe, shaders
 from .backend.emit import emit
 from .backend.needs import needs
+from .backend.rows import wide_rows
 from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
 from .passes.bands import banded
@@ -101,8 +102,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]
     packed = [replace(plan, stages=find_domains(plan.graph, plan.stages, options.domains)) for plan in packed]
     packed = checked("packed", tuple(replace(plan, stages=find_compute(plan.stages, profile, kind)) for plan in packed))
-    places = checked("placed", allocate(program, packed))
-    code = [emit(plan.stages, profile) for plan in packed]
+    wide = wide_rows(packed, profile)
+    places = checked("placed", allocate(program, packed, wide))
+    code = [emit(plan.stages, profile, wide) for plan in packed]
     see("shaders", glsl := shaders(code))
     description, blobs = describe(program, packed, code, places, spirv.compile_all(glsl))
     texels = {name: how for group in groups for name, how in group.told.items()}
@@ -110,6 +112,8 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
                            "holds": {plan.graph.name: dump.holds(plan) for plan in packed}}
     if texels:
         description["meta"]["texels"] = texels
+    if profile.table_width is not None:
+        description["meta"]["table_width"] = profile.table_width
     if options.memory is not None and (size := sum(image_bytes(x) * x["slots"] for x in description["images"])) > options.memory:
         raise InputError(f"the images of the bundle need {size / 1e6:.1f} MB for profile {profile.name}; memory allows "
                          f"{options.memory / 1e6:.1f} MB; use smaller views, a smaller texture, or more memory")

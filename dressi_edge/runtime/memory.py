@@ -69,11 +69,7 @@ class Images:
                 if r["usage"] & ~(v.USAGE_TRANSFER_SRC | v.USAGE_TRANSFER_DST)])  # a value that no plan reads has none
 
     def _image(self, r: dict, depth_format: int) -> int:
-        return vk.CreateImage(self.device.device, vk.VkImageCreateInfo(
-            imageType=vk.VK_IMAGE_TYPE_2D, format=r["format"] or depth_format, extent=(r["width"], r["height"], 1),
-            mipLevels=1, arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
-            usage=r["usage"] | (0 if r["format"] == 0 else v.USAGE_TRANSFER_DST),
-            sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE, initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
+        return make_image(self.device, r, depth_format)
 
     def _weigh(self, depth_format: int) -> None:
         """What all images take, of one of each kind: a driver aligns the smallest to kilobytes. Before there are many of them."""
@@ -82,11 +78,7 @@ class Images:
             kinds.setdefault(tuple(r[key] for key in ("format", "width", "height", "usage")), []).append(r)
         sizes: dict[int, int] = {}
         for records in kinds.values():
-            image = self._image(records[0], depth_format)
-            try:
-                q = vk.GetImageMemoryRequirements(self.device.device, image)
-            finally:
-                vk.DestroyImage(self.device.device, image)
+            q = requirements(self.device, records[0], depth_format)
             kind = find_memory(self.device, q.memoryTypeBits, vk.VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT)
             whole = sum(r["slots"] for r in records) * (-(-q.size // q.alignment) * q.alignment)
             sizes[kind] = sizes.get(kind, 0) + whole - (q.alignment - 1)  # the last of each kind may lie closer
@@ -114,6 +106,24 @@ class Images:
         for memory in self.memory:
             vk.FreeMemory(self.device.device, memory)
         self.views, self.handles, self.memory = [], [], []
+
+
+def make_image(device, record: dict, depth_format: int = 0) -> int:
+    """One slot of an image of a bundle, without memory. depth_format: what stands for the format 0."""
+    return vk.CreateImage(device.device, vk.VkImageCreateInfo(
+        imageType=vk.VK_IMAGE_TYPE_2D, format=record["format"] or depth_format, extent=(record["width"], record["height"], 1),
+        mipLevels=1, arrayLayers=1, samples=vk.VK_SAMPLE_COUNT_1_BIT, tiling=vk.VK_IMAGE_TILING_OPTIMAL,
+        usage=record["usage"] | (0 if record["format"] == 0 else v.USAGE_TRANSFER_DST),
+        sharingMode=vk.VK_SHARING_MODE_EXCLUSIVE, initialLayout=vk.VK_IMAGE_LAYOUT_UNDEFINED))
+
+
+def requirements(device, record: dict, depth_format: int = 0):
+    """What the driver asks for one slot of an image of a bundle: size, alignment, memoryTypeBits."""
+    image = make_image(device, record, depth_format)
+    try:
+        return vk.GetImageMemoryRequirements(device.device, image)
+    finally:
+        vk.DestroyImage(device.device, image)
 
 
 def image_bytes(record: dict) -> int:

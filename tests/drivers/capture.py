@@ -41,7 +41,8 @@ def capture(name: str) -> Profile:
     kept = Profile.load(name) if (ROOT / "device_profiles" / f"{name}.json").exists() else found
     own = {key: value for key, value in kept.sources.items() if key not in ("*", *OWN)}
     return replace(kept, description=what, limits=found.limits, features=found.features, formats=found.formats, date=found.date,
-                   api_version=found.api_version, sources={"*": {"source": source, "status": "measured"}} | OWN | own)
+                   table_width=found.table_width, api_version=found.api_version,
+                   sources={"*": {"source": source, "status": "measured"}} | OWN | own)
 
 
 def main() -> None:

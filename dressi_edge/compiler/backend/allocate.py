@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from ...cache import vulkan as v
 from ..graph.formats import FORMATS, format_number
-from ..graph.ir import Node
+from ..graph.ir import Extent, Node
 from ..graph.program import Program
 from ..passes.plans import PHASE, PackedPlan
 from ..passes.substage import Stage, Substage, merged_reads
@@ -32,11 +33,12 @@ class Image:
 @dataclass(frozen=True)
 class PlacedStage:
     """attachments: refs (2 image + slot), the outputs of each substage in order, of a dispatch those it writes; depth: the ref of a depth
-    image or -1; wait: whether a stage before it must have ended."""
+    image or -1; wait: whether a stage before it must have ended; size: width and height of what it writes."""
 
     attachments: tuple[int, ...]
     depth: int
     wait: bool
+    size: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,9 @@ class Allocation:
     values: Mapping[str, int]
 
 
-def allocate(program: Program, plans: Sequence[PackedPlan]) -> Allocation:
-    """Images for everything that these plans read and write."""
-    images = _Images(program, plans)
+def allocate(program: Program, plans: Sequence[PackedPlan], wide: Mapping[Node, Extent] = MappingProxyType({})) -> Allocation:
+    """Images for everything that these plans read and write. wide: as `rows.wide_rows` has it."""
+    images = _Images(program, plans, wide)
     placed = tuple(_place(plan, images) for plan in plans)
     values = {name: images.outputs[name] if program.roles[name] == "output" else images.leaf(value.node)
               for name, value in program.values.items()}
@@ -74,8 +76,8 @@ def is_copy(program: Program, leaf: Node) -> bool:
 class _Images:
     """The images made so far, and which of them are free."""
 
-    def __init__(self, program: Program, plans: Sequence[PackedPlan]):
-        self.program = program
+    def __init__(self, program: Program, plans: Sequence[PackedPlan], wide: Mapping[Node, Extent]):
+        self.program, self.wide = program, wide
         self.updated = {name for plan in plans if plan.graph.kind == PHASE for name in plan.graph.updates}
         self.copies = dict.fromkeys(x for plan in plans for x in plan.graph.targets if isinstance(x, Node) and is_copy(program, x))
         self.made: list[Image] = []
@@ -97,8 +99,8 @@ class _Images:
             usage = v.USAGE_TRANSFER_DST if constant else 0
             if held and not is_copy(self.program, node):
                 usage = v.USAGE_TRANSFER_DST | v.USAGE_TRANSFER_SRC
-            self.leaves[node] = self.new(format_number(node), node.extent.width, node.extent.height,
-                                         2 if held and node.attrs["name"] in self.updated else 1, usage, node if constant else None)
+            slots = 2 if held and node.attrs["name"] in self.updated else 1
+            self.leaves[node] = self.new(*self.kind(node), slots, usage, node if constant else None)
         return self.leaves[node]
 
     def output(self, name: str) -> int:
@@ -109,12 +111,12 @@ class _Images:
 
     def take(self, n: Node) -> int:
         """A free image for a value, or a new one."""
-        free = self.free.get(_kind(n))
-        return free.pop() if free else self.new(*_kind(n))
+        free = self.free.get(self.kind(n))
+        return free.pop() if free else self.new(*self.kind(n))
 
     def give(self, n: Node, image: int) -> None:
-        if image not in self.free.setdefault(_kind(n), []):
-            self.free[_kind(n)].append(image)
+        if image not in self.free.setdefault(self.kind(n), []):
+            self.free[self.kind(n)].append(image)
 
     def depth(self, stage: Stage) -> int:
         """The depth image of this size; no stage leaves anything in it."""
@@ -123,9 +125,12 @@ class _Images:
             self.free[kind] = [self.new(*kind, 1, v.USAGE_DEPTH)]
         return self.free[kind][0]
 
+    def kind(self, n: Node) -> tuple[int, int, int]:
+        return format_number(n), *self.size(n)
 
-def _kind(n: Node) -> tuple[int, int, int]:
-    return format_number(n), n.extent.width, n.extent.height
+    def size(self, n: Node) -> tuple[int, int]:
+        e = self.wide.get(n, n.extent)
+        return e.width, e.height
 
 
 def _place(plan: PackedPlan, images: _Images) -> PlacedPlan:
@@ -170,7 +175,7 @@ def _stage(stage: Stage, refs: dict[Node, int], images: _Images, hazards: _Hazar
         if s.raster and any(draw.depth_test for draw in s.nodes[0].op.draws):
             depth = 2 * images.depth(stage)
     wait = hazards.stage(read, {*attachments, depth} - {-1})
-    return PlacedStage(tuple(attachments), depth, wait)
+    return PlacedStage(tuple(attachments), depth, wait, images.size(stage.substages[0].outputs[0]))
 
 
 class _Hazards:

@@ -89,8 +89,17 @@ def _texels(array: np.ndarray, vtype: str, half: bool = False) -> bytes:
     return array.astype(array.dtype.newbyteorder("<")).tobytes()
 
 
+def _laid(array: np.ndarray, image: Image) -> np.ndarray:
+    """(height, width, channels) in the image's rows, zeros after the last."""
+    if array.shape[:2] == (image.height, image.width):
+        return array
+    flat = np.zeros((image.height * image.width, array.shape[2]), array.dtype)
+    flat[:array.shape[0] * array.shape[1]] = array.reshape(-1, array.shape[2])
+    return flat.reshape(image.height, image.width, -1)
+
+
 def _image(image: Image, blobs: _Blobs) -> dict:
-    data = None if image.data is None else blobs.add(_texels(image.data.attrs["data"].array, image.data.vtype))
+    data = None if image.data is None else blobs.add(_texels(_laid(image.data.attrs["data"].array, image), image.data.vtype))
     return {"format": image.format, "width": image.width, "height": image.height, "slots": image.slots, "usage": image.usage,
             "data": data}
 
@@ -135,8 +144,9 @@ def _stage(stage: Stage, code: Sequence[Code], placed: PlacedStage, refs: Mappin
         subpasses.append({"colors": [attached.index(refs[n]) for n in s.outputs],
                           "depth": attached.index(placed.depth) if placed.depth >= 0 else -1, "inputs": inputs})
     number = tables.passes.number({"attachments": attachments, "subpasses": subpasses})
-    return {"pass": number, "width": stage.extent.width, "height": stage.extent.height, "attachments": attached, "wait": placed.wait,
-            "subpasses": [[_draw(d, c.bindings, refs, number, k, stage, tables) for d in c.draws] for k, c in enumerate(code)]}
+    width, height = placed.size
+    return {"pass": number, "width": width, "height": height, "attachments": attached, "wait": placed.wait,
+            "subpasses": [[_draw(d, c.bindings, refs, number, k, placed.size, tables) for d in c.draws] for k, c in enumerate(code)]}
 
 
 def _dispatch(s: Substage, code: Code, placed: PlacedStage, refs: Mapping[Node, int], tables: _Tables) -> dict:
@@ -156,7 +166,7 @@ def _attachment(n: Node, outside: int | str | None) -> dict:
     return {"clear": 0 if outside in (KEPT, None) else outside, "format": format_number(n), "load": load, "store": v.STORE_STORE}
 
 
-def _draw(draw: DrawCode, bindings: Sequence[Binding], refs: Mapping[Node, int], number: int, subpass: int, stage: Stage,
+def _draw(draw: DrawCode, bindings: Sequence[Binding], refs: Mapping[Node, int], number: int, subpass: int, size: tuple[int, int],
           tables: _Tables) -> dict:
     pipeline = tables.pipelines.number({
         "bindings": [_binding(b, tables) for b in bindings], "depth": draw.depth, "fragment": tables.shaders["frag", draw.fragment],
@@ -165,7 +175,7 @@ def _draw(draw: DrawCode, bindings: Sequence[Binding], refs: Mapping[Node, int],
         w, h, columns = draw.cell
         cells = [[k % columns * w, k // columns * h, w, h] for k in range(draw.views)]
     else:
-        cells = [[0, 0, stage.extent.width, stage.extent.height]]
+        cells = [[0, 0, *size]]
     return {"pipeline": pipeline, "images": [refs[b.node] for b in bindings], "vertices": draw.vertices, "cells": cells,
             "depth_range": [0.0, 1.0], "count": -1 if draw.count is None else refs[draw.count]}
 

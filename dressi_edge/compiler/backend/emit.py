@@ -6,7 +6,8 @@ numbers, so equal substages give equal text and share one module. Ops whose loop
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 from ...cache.profile import Profile
 from ..graph.formats import format_of
@@ -16,6 +17,7 @@ from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
 from ..passes.compute import NARROW, groups, local_size, spread
 from ..passes.substage import KEPT, LISTED, TEXELS, TILES, Stage, Substage, merged_reads
 from .code import ATTACHMENT, SAMPLED, SAMPLER, Binding, Code, DispatchCode, DrawCode
+from .rows import Rows
 
 # layout qualifiers of storage images
 _STORED = {"R32_SFLOAT": "r32f", "R32_SINT": "r32i", "R32G32B32A32_SFLOAT": "rgba32f", "R32G32B32A32_SINT": "rgba32i",
@@ -84,8 +86,10 @@ def _place(i: str, column: int, height: int) -> tuple[str, str]:
 
 
 class _Emitter:
-    def __init__(self, stage: Substage, profile: Profile, inner: Collection[Node] = ()):
-        self.stage, self.profile = stage, profile
+    def __init__(self, stage: Substage, profile: Profile, inner: Collection[Node], wide: Mapping[Node, Extent]):
+        self.stage, self.profile, self.wide = stage, profile, wide
+        self.image = wide.get(stage.outputs[0], stage.extent)  # what its outputs measure
+        self.rows = self.rows_of(stage.outputs[0])
         self.tiled = stage.domain.by if stage.domain.kind == TILES else None
         self.bindings: list[Binding] = []
         self.slots: dict[tuple[Node, str, str], int] = {}
@@ -105,6 +109,10 @@ class _Emitter:
         self.values: dict[Node, str] = {}
         self.own: dict[int, None] = {}
 
+    def rows_of(self, x: Node) -> Rows | None:
+        """How its image lies, where not as its extent says."""
+        return Rows.of(x.extent, self.wide[x]) if x in self.wide else None
+
     def bind_vertex(self, x: Node) -> int:
         """The binding of an image that the vertex shader of a substage reads, too."""
         slot = self.slots.setdefault((x, SAMPLED, ""), len(self.bindings))
@@ -114,9 +122,12 @@ class _Emitter:
     def declarations(self, vertex: bool | None) -> list[str]:
         """Of what the vertex or the fragment shader binds; None: of all."""
         lines = []
-        for k, b in enumerate(self.bindings):
-            if vertex is not None and not (b.vertex if vertex else b.fragment):
-                continue
+        bound = [(k, b) for k, b in enumerate(self.bindings) if vertex is None or (b.vertex if vertex else b.fragment)]
+        laid = [self.rows_of(b.node) for _, b in bound]
+        if vertex is None:
+            laid.append(self.rows)
+        lines += dict.fromkeys(rows.function for rows in laid if rows)
+        for k, b in bound:
             prefix = "i" if is_int(b.node.vtype) else ""
             if b.kind == ATTACHMENT:
                 number = sum(other.kind == ATTACHMENT for other in self.bindings[:k])
@@ -127,12 +138,15 @@ class _Emitter:
                 lines.append(f"#define F{k}(uv) (texture(t{k}, uv){_channels(b.node)}{_scale(b.node, -1)})")
                 continue
             lines.append(f"layout(set = 0, binding = {k}) uniform {prefix}texture2D t{k};")
-            lines.append(f"#define T{k}(c) (texelFetch(t{k}, c, 0){_channels(b.node)}{_scale(b.node, -1)})")
-            lines.append(f"#define E{k}(i) {self._entry(k, b.node.extent)}")
+            fetch = f"(texelFetch(t{k}, {{}}, 0){_channels(b.node)}{_scale(b.node, -1)})"
+            rows = self.rows_of(b.node)
+            if rows:
+                lines += [f"#define T{k}(c) {fetch.format(f'{rows.name}(c)')}", f"#define W{k}(c) {fetch.format('c')}",
+                          f"#define E{k}(i) W{k}({rows.place('(i)')})"]
+                continue
+            lines.append(f"#define T{k}(c) {fetch.format('c')}")
+            lines.append(f"#define E{k}(i) T{k}({self._place_of('(i)', b.node.extent)})")
         return lines
-
-    def _entry(self, k: int, e: Extent) -> str:
-        return f"T{k}({self._place_of('(i)', e)})"
 
     def _place_of(self, i: str, e: Extent) -> str:
         """Where in an image of this extent an entry is."""
@@ -148,7 +162,8 @@ class _Emitter:
     def names(self, node: Node) -> _Names:
         e = node.extent
         names = {"w": e.width, "h": e.height, "n": e.count, "type": node.vtype, "p": "pixel",
-                 "i": f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
+                 "i": "entry" if self.rows and not self.stage.compute else
+                 f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
                  f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})"}
         names = _Names(names, literal_glsl(2.0 ** -self.profile.limit("subPixelPrecisionBits")))
         for key, value in node.attrs.items():
@@ -187,8 +202,9 @@ class _Emitter:
             if self.bindings[slot].kind == ATTACHMENT:
                 lines.append(f"{x.vtype} u{slot} = subpassLoad(t{slot}){_channels(x)}{_scale(x, -1)};")
                 continue
-            at = "ivec2(0)" if x.extent == UNIT and self.stage.extent != UNIT else "pixel"
-            lines.append(f"{x.vtype} u{slot} = T{slot}({at});")
+            at = "T{}(ivec2(0))" if x.extent == UNIT and self.stage.extent != UNIT else \
+                "W{}(texel)" if self.rows and not self.stage.compute and self.rows_of(x) == self.rows else "T{}(pixel)"
+            lines.append(f"{x.vtype} u{slot} = {at.format(slot)};")
         return lines
 
     def functions(self) -> list[str]:
@@ -246,12 +262,12 @@ class _Emitter:
         stores = [f"o{k} = " + (f"{'ivec4' if is_int(n.vtype) else 'vec4'}({value}, 0);" if n.channels == 3 else f"{value};")
                   for k, (n, value) in enumerate(zip(self.stage.outputs, values))]
         return "\n".join([_HEAD + "\n".join(self.declarations(False)), *varyings, *outs, *self.functions(), "void main() {",
-                          "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
+                          self.rows.pixel() if self.rows else "ivec2 pixel = ivec2(gl_FragCoord.xy);", *body, *stores, "}", ""])
 
     def pixels(self) -> DrawCode:
         """The draw of a substage of texels: its domain's part of the image."""
-        fragment, domain, extent = self.fragment(self.pixel_body(), []), self.stage.domain, self.stage.extent
-        names = {"w": extent.width, "h": extent.height, "column": extent.column}
+        fragment, domain, extent = self.fragment(self.pixel_body(), []), self.stage.domain, self.image
+        names = {"w": extent.width, "h": extent.height, "column": extent.width if self.rows else extent.column}
         if domain.kind == LISTED:
             of = domain.by.extent
             names["entries"] = f"T{self.bind_vertex(domain.by)}(ivec2({of.width - 1}, {of.height - 1}))"
@@ -265,9 +281,14 @@ class _Emitter:
         vertex = "\n".join([_HEAD + "\n".join(self.declarations(True)), "void main() {", _mark(text, names), "}", ""])
         return DrawCode(vertex, fragment, vertices)
 
+    @property
+    def at(self) -> str:
+        """Where a compute shader stores."""
+        return f"{self.rows.name}(pixel)" if self.rows else "pixel"
+
     def leave(self) -> str:
         """Of a compute shader, what is done at a texel where nothing is drawn."""
-        stores = [f"imageStore(o{k}, pixel, {'i' * is_int(n.vtype)}vec4({outside})); " for k, (n, outside) in
+        stores = [f"imageStore(o{k}, {self.at}, {'i' * is_int(n.vtype)}vec4({outside})); " for k, (n, outside) in
                   enumerate(zip(self.stage.outputs, self.stage.domain.outside)) if outside not in (None, KEPT)]
         return f"{{ {''.join(stores)}return; }}"
 
@@ -296,7 +317,7 @@ class _Emitter:
             i, value = "i" * is_int(n.vtype), self.values[n] + _scale(n, 1)
             whole = value if n.channels == 4 else f"{i}vec4({value}{', 0' * (4 - n.channels)})"
             outs.append(f"layout(set = 0, binding = {len(self.bindings) + k}, {_STORED[format_of(n)]}) uniform writeonly {i}image2D o{k};")
-            stores.append(f"imageStore(o{k}, pixel, {whole});")
+            stores.append(f"imageStore(o{k}, {self.at}, {whole});")
         text = "\n".join([_HEAD + f"layout(local_size_x = {width}, local_size_y = {height}) in;", *self.declarations(None), *outs,
                           *self.functions(), "void main() {", pixel, *body, *stores, "}", ""])
         return DispatchCode(text, (*groups(extent), 1))
@@ -308,7 +329,7 @@ class _Emitter:
         names = self.names(node)
         names |= {"whole": e.width * e.height, "store": "S0", "add": "A0"}
         across, down = spread(kernel.groups(node))
-        place = self._place_of("(i)", e)
+        place = self.rows.place("(i)") if self.rows else self._place_of("(i)", e)
         access = f"#define S0(i, v) imageStore(o0, {place}, ivec4(v, 0, 0, 0))\n#define A0(i, v) imageAtomicAdd(o0, {place}, v)"
         text = "\n".join([_HEAD + f"layout(local_size_x = {kernel.lanes}) in;", *self.declarations(None),
                           f"layout(set = 0, binding = {k}, {_STORED[format_of(node)]}) uniform {'i' * is_int(node.vtype)}image2D o0;",
@@ -338,15 +359,15 @@ class _Emitter:
         return draws
 
 
-def emit(stages: Sequence[Stage], profile: Profile) -> tuple[tuple[Code, ...], ...]:
-    """The code of each substage of each stage."""
-    return tuple(tuple(emit_substage(s, profile, merged_reads(stage.substages[:k], s)) for k, s in enumerate(stage.substages))
+def emit(stages: Sequence[Stage], profile: Profile, wide: Mapping[Node, Extent] = MappingProxyType({})) -> tuple[tuple[Code, ...], ...]:
+    """The code of each substage of each stage. wide: as `rows.wide_rows` has it."""
+    return tuple(tuple(emit_substage(s, profile, merged_reads(stage.substages[:k], s), wide) for k, s in enumerate(stage.substages))
                  for stage in stages)
 
 
-def emit_substage(stage: Substage, profile: Profile, inner: Collection[Node] = ()) -> Code:
+def emit_substage(stage: Substage, profile: Profile, inner: Collection[Node], wide: Mapping[Node, Extent]) -> Code:
     """The code of a substage. `inner` are read as input attachments, written by an earlier subpass of the same render pass."""
-    e = _Emitter(stage, profile, inner)
+    e = _Emitter(stage, profile, inner, wide)
     if stage.compute:
         dispatch = e.kernel() if stage.kernel else e.compute()
         return Code((), tuple(e.bindings), dispatch)
