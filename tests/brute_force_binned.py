@@ -65,12 +65,18 @@ def face_at(clip, corners, pixels, size, near, r, sigma, depth, squared, hard) -
 
 def render(clip, faces, size, near, r, sigma, gamma, depth, colors=None, background=(0, 0, 0), squared=False, over=False,
            hard=False) -> Blended:
-    """clip (V, 4), faces (F, 3), colors (V, 3) of vertices or (F, 3, 3) of the corners of faces."""
+    """clip (V, 4), faces (F, 3), colors (V, 3) of vertices or (F, 3, 3) of the corners of faces, or what gives (h, w, 3) of the number of a
+    face and the weights of its corners (h, w, 3)."""
     clip, pixels = np.asarray(clip, np.float64), pixel_centres(size)
     faces = np.asarray(faces)
-    colors = np.zeros((len(clip), 3)) if colors is None else np.asarray(colors)
-    corner_colors = colors[faces] if colors.ndim == 2 else colors
-    seen = [(face_at(clip, clip[f], pixels, size, near, r, sigma, depth, squared, hard), c) for f, c in zip(faces, corner_colors)
+    if not callable(colors):
+        values = np.zeros((len(clip), 3)) if colors is None else np.asarray(colors)
+        corner_colors = values[faces] if values.ndim == 2 else values
+
+        def colors(k, weights):
+            return weights @ corner_colors[k]
+
+    seen = [(face_at(clip, clip[f], pixels, size, near, r, sigma, depth, squared, hard), k) for k, f in enumerate(faces)
             if (clip[f, 3] >= near).any()]
     shape = size[1], size[0]
     margin, most, clear = np.full(shape, np.inf), np.full(shape, EPS), np.ones(shape)
@@ -79,9 +85,9 @@ def render(clip, faces, size, near, r, sigma, gamma, depth, colors=None, backgro
         most = np.where(face.counts, np.maximum(most, face.depth), most)
         clear = np.where(face.counts, clear * face.clear, clear)
     weight, mixed = np.zeros(shape), np.zeros((*shape, 3))
-    for face, c in seen:
+    for face, k in seen:
         w = np.where(face.counts, face.probability * np.exp(np.minimum(face.depth - most, 0) / gamma), 0)
-        weight, mixed = weight + w, mixed + w[..., None] * (face.weights @ c)
+        weight, mixed = weight + w, mixed + w[..., None] * colors(k, face.weights)
     background = np.broadcast_to(np.asarray(background, float), (*shape, 3))
     if over:
         mean = mixed / np.maximum(weight, 1e-30)[..., None]

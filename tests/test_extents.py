@@ -31,6 +31,7 @@ PROMISES = {("capsule_sum", "segment"), ("capsule_sum", "center"), ("segment_sum
                                                  ("listed_keys", "footprint entries total"), ("merge_listed", "total"),
                                                  ("listed_bins", "ordered total"), ("mip_list", "ordered"),
                                                  ("soft_alpha", "faces"), ("soft_sums", "faces"), ("soft_most", "faces"),
+                                                 ("soft_heaviest", "faces"),
                                                  ("mip_refine_transposed", "g"), ("mip_rows", "bins"),
                                                  ("soft_alpha_gradient", "slope"), ("soft_place_gradient", "slope"),
                                                  ("soft_color_gradient", "slope"))

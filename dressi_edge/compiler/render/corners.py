@@ -1,16 +1,17 @@
 """What a material reads where colours are worked out at the corners of faces, not at pixels: `Surface`, over tables of views x faces.
 
-The renderer then interpolates linearly on the face (Gouraud 1971), so whatever is linear there is exact.
+The renderer then interpolates linearly on the face (Gouraud 1971), so whatever is linear there is exact. Whether a material has read what
+is not, a texture or the pixel, a surface knows afterwards (`linear`): such faces are better shaded at pixels where they weigh much.
 """
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...cache.errors import InputError
-from ..graph.functions import apply, compose, constant_table, lookup
+from ..graph.functions import apply, compose, constant_table, lookup, stop_gradient
 from ..graph.ir import Node, table
 from .normals import unit_face_normals
 from .raster.fragments import order_of
@@ -20,14 +21,15 @@ from .texture import Wrap
 if TYPE_CHECKING:
     from .frame import Frame
     from .part import Part
+    from .raster import Span
 
 
 class CornerSurface(Surface):
     """The surface of a part at corner `number` (0 to 2, by ascending vertex index) of each of its faces, in each view of the frame."""
 
-    def __init__(self, frame: Frame, number: int, part: Part):
-        super().__init__(frame, 0, part, None)
-        self.number, self.count = number, frame.atlas.views
+    def __init__(self, frame: Frame, number: int, part: Part, span: Span | None):
+        super().__init__(frame, 0, part, span)
+        self.number, self.count, self.linear = number, frame.atlas.views, True
         self._faces = np.tile(np.arange(len(self.part.topology.faces)), self.count)
 
     @cached_property
@@ -42,7 +44,7 @@ class CornerSurface(Surface):
 
     @cached_property
     def inside(self) -> Node:
-        return apply("broadcast", 1, extent=table(len(self._faces)))
+        return constant_table(np.ones(len(self._faces), int))
 
     @cached_property
     def barycentric(self) -> Node:
@@ -86,15 +88,19 @@ class CornerSurface(Surface):
         return np.asarray(corners)[t.kept][np.arange(len(t.faces)), order_of(t)[:, self.number]][self._faces]
 
     def slopes(self, values: np.ndarray) -> tuple[Node, Node]:
-        """Refused: there are no pixels to change from."""
-        return self.texture(None)
+        """How much a constant attribute of the faces' corners changes from pixel to pixel there, across and down. Raises InputError."""
+        self.linear, t, fragments = False, self.part.topology, self.frame.fragments
+        corners = np.take_along_axis(self._corners(values)[t.kept], order_of(t)[..., None], 1)[self._faces]
+        here = replace(self._layer, point=fragments.corner_point(self.number, self._span))
+        h = [stop_gradient(x) for x in fragments.view_corners(self.frame.clip, self._span)]
+        return fragments.plane(here, h, [constant_table(corners[:, k]) for k in range(3)])[1:]
 
     def texture(self, image: Node, uv: Node | None = None, wrap: Wrap = "repeat", gradient: str = "exact", lod: Node | None = None) -> Node:
-        """Refused: a texture is not linear on a face."""
-        raise InputError(f"part {self.part.name}: its material samples a texture, and this renderer knows colours at corners of faces "
-                         "alone; use colours of vertices (Vertex) or corners (Corner), or the renderers Outline and HardSoftRas")
+        """A texture at the corner. Its gradient by "inverse_uv", of one pixel for each texel, comes from pixels alone."""
+        self.linear = False
+        return super().texture(image, uv, wrap, "none" if gradient == "inverse_uv" else gradient, lod)
 
     def pixel(self) -> Node:
-        """Refused: there is none."""
-        raise InputError(f"part {self.part.name}: its material reads the pixel, and this renderer shades the corners of faces; use the "
-                         "renderers Outline and HardSoftRas")
+        """vec2: where the corner is in the picture, from the upper left corner."""
+        self.linear, a = False, self.frame.atlas
+        return self.frame.fragments.corner_point(self.number, self._span) + compose(a.width / 2, a.height / 2)

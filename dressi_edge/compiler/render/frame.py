@@ -124,7 +124,9 @@ class Frame:
 
     def _composed(self, read: Callable[[Surface, int], Node], materials: bool, background: Node | float) -> Node:
         if self.fragments.at_corners:
-            return self.composed([self._at_corner(read, k) for k in range(3)], background)
+            corners, linear = zip(*(self._at_corner(read, k) for k in range(3)))
+            layers = range(1, 1 + self.fragments.at_pixels(all(linear)))
+            return self.fragments.color(corners, background, [self._in_layer(read, k, materials) for k in layers])
         return self.composed([self._in_layer(read, k, materials) for k in range(len(self.fragments.layers))], background)
 
     def _in_layer(self, read: Callable[[Surface, int], Node], layer: int, materials: bool) -> Node:
@@ -135,16 +137,17 @@ class Frame:
             total = value if total is None else select(s.inside, value, total)
         return total if len(together) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
 
-    def _at_corner(self, read: Callable[[Surface, int], Node], number: int) -> Node:
-        """Of a corner of each face, a table of views x faces."""
-        total, extent = None, table(self.atlas.views * len(self.parts.topology.faces))
+    def _at_corner(self, read: Callable[[Surface, int], Node], number: int) -> tuple[Node, bool]:
+        """Of a corner of each face, a table of views x faces; and whether all that was read is linear on faces."""
+        total, linear, extent = None, True, table(self.atlas.views * len(self.parts.topology.faces))
         for k, part in enumerate(self.parts.parts):
-            s = CornerSurface(self, number, part)
+            s = CornerSurface(self, number, part, self.parts.span(k, part.topology))
             value = read(s, k)
+            linear &= s.linear
             value = apply("broadcast", value, extent=s.inside.extent) if value.extent == UNIT else value
             total = value if total is None else join(total, value, self.atlas.views)
         assert total.extent == extent
-        return total
+        return total, linear
 
     @cached_property
     def mask(self) -> Node:

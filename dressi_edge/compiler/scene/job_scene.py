@@ -32,7 +32,7 @@ from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Verte
 from ..render.optimizer import Optimizer
 from ..render.part import Part
 from ..render.pbr import PBR
-from ..render.raster import Softness, renderer_of
+from ..render.raster import Binned, Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import Tone, encode_srgb
 from . import sense
@@ -336,7 +336,7 @@ def add_phases(scene: Scene, views: Views, phases: Sequence[_PhaseTable], common
     return targets, {"render.color": "render.view"} if one else {}
 
 
-def add_phase(scene: Scene, phase: _PhaseTable, softness: Softness, order: str, seed: int, targets: Targets, background) -> None:
+def add_phase(scene: Scene, phase: _PhaseTable, softness: Softness | Binned, order: str, seed: int, targets: Targets, background) -> None:
     frame = scene.frame(renderer_of(softness), phase=phase.name, order=order, seed=seed,
                         view=targets.turned(scene, phase.name, phase.optimize))
     target, terms = targets.at(frame), {}

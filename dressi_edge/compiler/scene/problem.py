@@ -29,7 +29,7 @@ from ..render.frame import Frame
 from ..render.light import Light
 from ..render.material import Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
-from ..render.raster import Softness, renderer_of
+from ..render.raster import Renderer, Softness, renderer_of
 from ..render.schedule import Schedule
 from ..render.tone import encode_srgb
 from . import sense
@@ -171,9 +171,10 @@ class Problem:
         return Texture(self.parameters["texture"], self.wrap, self.texture_grad)
 
     def phase(self, name: str, steps: int, optimize: Mapping[str, Optimizer], losses: Sequence[Loss | Callable],
-              softness: Softness | None = None) -> None:
+              softness: Softness | Renderer | None = None) -> None:
         """Add a phase: `steps` iterations that optimize the named parameters by the sum of the losses. A loss is a `Loss`, or a function of
-        the frame and its targets (vec4: straight colour, alpha) that gives a float of extent 1x1."""
+        the frame and its targets (vec4: straight colour, alpha) that gives a float of extent 1x1. softness: or a renderer, such as
+        `Binned(over=True)`."""
         s = self.scene
         with s.undone_by_errors():
             s.check_phase(name, steps, optimize, losses)
@@ -189,7 +190,7 @@ class Problem:
             if len(losses) > 1:
                 s.terms(name, dict(zip(_term_names(losses), values.values())))
 
-    def render(self, name: str = "render", softness: Softness | None = None, color: bool = True) -> None:
+    def render(self, name: str = "render", softness: Softness | Renderer | None = None, color: bool = True) -> None:
         """Add a plan that draws all views: output `<name>.color` (views, height, width, 4), RGBA with straight colour over the
         background, or `<name>.silhouette` (views, height, width). Of many views that are not seen at once it draws one at a time, and the
         session puts them together (`Session.get(view=..)`)."""

@@ -24,7 +24,7 @@ from ..render.light import KINDS as LIGHTS
 from ..render.light import PLACED, Light, Shadow
 from ..render.octahedron import SIZES, octahedral
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
-from ..render.raster import DISTANCES, EDGES, MAX_LAYERS, Softness
+from ..render.raster import DISTANCES, EDGES, MAX_LAYERS, MOST, Binned, Softness
 from ..render.schedule import Schedule
 from ..render.tone import CURVES, Tone
 from .scene import Scene
@@ -35,7 +35,9 @@ ENVIRONMENT = ("path", "radiance", "size", "rotation", "strength", "background")
 LIGHT = ("kind", "power", "vector", "direction", "cone", "shadow")
 SHARP = Softness(1.0, delta=0.0)  # of pictures to look at: about as soft as a pixel's own area
 MESH = ("path", "sphere", "hull", "normalize", "texture")
-SOFT = ("r", "r_fraction", "sigma", "delta", "layers", "distance", "edges")
+PEELED, BINNED = ("delta", "distance", "edges"), ("gamma", "depth", "squared", "over", "hard")  # what one kind of renderer alone has
+RENDERERS = ("layered", "binned")
+SOFT = ("r", "r_fraction", "sigma", "layers", *PEELED, "renderer", *BINNED)
 ADAM = ("rate", "betas", "epsilon")
 OPTIMIZERS = {"adam": (Adam, ADAM), "adamw": (AdamW, (*ADAM, "decay")), "adam_uniform": (AdamUniform, (*ADAM, "shared")),
               "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
@@ -159,18 +161,34 @@ def soft(t: Table) -> dict:
     """The softness keys of a table that are there."""
     if len(t.has("r", "r_fraction")) > 1:
         raise t.conflict("r (pixels) and r_fraction (of the image's larger side) are both given; give one")
-    soft = {"r": t.number("r", None, 0.0, above=True), "r_fraction": t.number("r_fraction", None, 0.0, 1.0, above=True),
+    renderer = t.word("renderer", None, RENDERERS)
+    layers = (0, MOST) if renderer == "binned" else (1, MAX_LAYERS)
+    soft = {"renderer": renderer, "r": t.number("r", None, 0.0, above=True),
+            "r_fraction": t.number("r_fraction", None, 0.0, 1.0, above=True),
             "sigma": t.number("sigma", None, 0.0, above=True), "delta": t.number("delta", None, 0.0),
-            "layers": t.number("layers", None, 1, MAX_LAYERS, whole=True), "distance": t.word("distance", None, DISTANCES),
-            "edges": t.word("edges", None, EDGES)}
+            "layers": t.number("layers", None, *layers, whole=True), "distance": t.word("distance", None, DISTANCES),
+            "edges": t.word("edges", None, EDGES),
+            "gamma": t.number("gamma", None, 0.0, above=True), "depth": t.numbers("depth", 2, None, 0.0)}
+    soft |= {key: t.flag(key, False) for key in t.has("squared", "over", "hard")}
     soft = {k: x for k, x in soft.items() if x is not None}
     if "r" in soft or "r_fraction" in soft:  # either replaces the other of an outer table
         soft = {"r": None, "r_fraction": None, **soft}
+    if renderer is not None:  # and a renderer what the other kind had there
+        soft = {**dict.fromkeys(("layers", *(PEELED if renderer == "binned" else BINNED))), **soft}
     return soft
 
 
-def softness_of(soft: dict, side: int) -> Softness:
-    r = soft["r_fraction"] * side if soft.get("r_fraction") else soft.get("r") or 2.0
+def softness_of(soft: dict, side: int) -> Softness | Binned:
+    """What draws, of the softness keys that are in force. Raises InputError."""
+    soft = {key: x for key, x in soft.items() if x is not None}
+    r = soft["r_fraction"] * side if "r_fraction" in soft else soft.get("r", 2.0)
+    kind = soft.get("renderer", "layered")
+    if wrong := [key for key in (PEELED if kind == "binned" else BINNED) if key in soft]:
+        raise InputError(f"{wrong[0]} is given, but the renderer is {kind!r}, which has none; drop it, or set renderer = "
+                         f'"{"layered" if kind == "binned" else "binned"}"')
+    if kind == "binned":
+        own = {key: soft[key] for key in ("gamma", "depth", "squared", "hard", "layers") if key in soft}
+        return Binned(float(r), soft.get("sigma"), over=soft.get("over", True), **own)  # as targets lie over the background
     return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"),
                     soft.get("edges", "coverage"))
 

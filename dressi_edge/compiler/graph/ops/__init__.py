@@ -20,6 +20,7 @@ from . import (
     reduce,
     scan,
     soft,
+    soft_pair,
     stencil,
     tables,
     texture,

@@ -44,7 +44,7 @@ vec2 soft_distance2(vec4 s) {
 """
 
 # Of the corners v0_, v1_, v2_ and the place q_: signed areas, whether the face covers the place, its three edges and how far they are.
-_GEOMETRY = """
+GEOMETRY = """
 vec2 a0_ = v0_.xy - q_, a1_ = v1_.xy - q_, a2_ = v2_.xy - q_;
 vec3 iw_ = vec3(v0_.z, v1_.z, v2_.z), area_ = vec3(soft_cross(a1_, a2_), soft_cross(a2_, a0_), soft_cross(a0_, a1_));
 float whole_ = area_.x + area_.y + area_.z, facing_ = whole_ < 0.0 ? -1.0 : 1.0;
@@ -67,7 +67,7 @@ if ({hard_only} != 0) { probability_ = 1.0; beside_ = 0.0; }
 if (!near_) { probability_ = 0.0; beside_ = 1.0; }
 """
 # Weights b_ of the corners, those outside the face cut to 0, and the depth z_.
-_WEIGHTS = """
+WEIGHTS = """
 vec3 cut_m_ = max(m_, vec3(0.0));
 float mass_ = cut_m_.x + cut_m_.y + cut_m_.z, reach2_ = max(max(dot(a0_, a0_), dot(a1_, a1_)), dot(a2_, a2_));
 bool solid_ = abs(whole_) > reach2_ * """ + repr(reference.DEGENERATE) + """ && mass_ > 0.0;
@@ -78,7 +78,7 @@ z_ = min(z_, float({nearest}));
 """
 
 # The next face of the list whose box has the pixel: a loop of its own, for machines that run both sides of every `if`.
-_NEXT = """int f_ = -1;
+NEXT = """int f_ = -1;
 for (; k_ < range_.y && f_ < 0; ++k_) {
     int c_ = {faces_at}(k_);
     ivec4 b_ = {boxes_at}(c_);
@@ -87,19 +87,19 @@ for (; k_ < range_.y && f_ < 0; ++k_) {
 if (f_ < 0) break;
 vec4 v0_ = {v0_at}(f_), v1_ = {v1_at}(f_), v2_ = {v2_at}(f_);
 """
-_TILE = """{ ivec2 cell_ = {p} / ivec2({cell_w}, {cell_h}), in_ = {p} - cell_ * ivec2({cell_w}, {cell_h});
+TILE = """{ ivec2 cell_ = {p} / ivec2({cell_w}, {cell_h}), in_ = {p} - cell_ * ivec2({cell_w}, {cell_h});
 int view_ = cell_.y * {columns} + cell_.x;
 ivec2 range_ = view_ < {views} ? {ranges_at}((view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w}) : ivec2(0);
 vec2 q_ = vec2(in_) + 0.5 - 0.5 * vec2(ivec2({cell_w}, {cell_h}));
 """
-_ALPHA = _TILE + """float clear_ = 1.0;
+_ALPHA = TILE + """float clear_ = 1.0;
 for (int k_ = range_.x; ;) {
-""" + _NEXT + _GEOMETRY + """clear_ *= beside_;
+""" + NEXT + GEOMETRY + """clear_ *= beside_;
 if (clear_ < 2e-8) k_ = range_.y;  // alpha is 1 to the last bit
 """
-_SUMS = _TILE + """float clear_ = 1.0, most_ = float({least});
+_SUMS = TILE + """float clear_ = 1.0, most_ = float({least});
 for (int k_ = range_.x; ;) {
-""" + _NEXT + _GEOMETRY + _WEIGHTS + """clear_ *= beside_;
+""" + NEXT + GEOMETRY + WEIGHTS + """clear_ *= beside_;
 float away_ = exp(-abs(z_ - most_) / float({gamma}));
 bool nearer_ = near_ && z_ > most_;
 float keep_ = nearer_ ? away_ : 1.0, w_ = probability_ * (nearer_ ? 1.0 : away_);
@@ -122,7 +122,7 @@ if (p_.y >= box_.w) break;
 vec2 q_ = vec2(p_) + 0.5 - center_;
 """
 # From by_x_, the gradient by what the sigmoid is of, to the corners: along the nearest edge, and by its cut at the near plane.
-_BY_DISTANCE = """
+BY_DISTANCE = """
 bool first_ = d0_.x <= d1_.x && d0_.x <= d2_.x, second_ = !first_ && d1_.x <= d2_.x;
 vec4 s_ = first_ ? s0_ : second_ ? s1_ : s2_;
 float t_ = first_ ? d0_.y : second_ ? d1_.y : d2_.y;
@@ -155,20 +155,20 @@ by_m_ = vec3(b_.x > 0.0 ? by_m_.x : 0.0, b_.y > 0.0 ? by_m_.y : 0.0, b_.z > 0.0 
 vec3 by_c_ = by_m_ * iw_ * facing_, by_iw_ = by_m_ * area_;
 float by_x_ = by_w_ * w_ * beside_ + most_.y * probability_;
 """
-_ADD_WEIGHTS = """
+ADD_WEIGHTS = """
 g0_ += vec4(by_c_.y * vec2(-a2_.y, a2_.x) + by_c_.z * vec2(a1_.y, -a1_.x), by_iw_.x, by_z_ * b_.x);
 g1_ += vec4(by_c_.z * vec2(-a0_.y, a0_.x) + by_c_.x * vec2(a2_.y, -a2_.x), by_iw_.y, by_z_ * b_.y);
 g2_ += vec4(by_c_.x * vec2(-a1_.y, a1_.x) + by_c_.y * vec2(a0_.y, -a0_.x), by_iw_.z, by_z_ * b_.z);
 """
-_ALPHA_GRADIENT = _OVER_BOX.replace("MORE", "") + _GEOMETRY + "float by_x_ = {slope}(p_) * probability_;\n" + _BY_DISTANCE
+_ALPHA_GRADIENT = _OVER_BOX.replace("MORE", "") + GEOMETRY + "float by_x_ = {slope}(p_) * probability_;\n" + BY_DISTANCE
 _KEPT = "vec3 k0_ = {c0_at}({i}), k1_ = {c1_at}({i}), k2_ = {c2_at}({i});"
-_BLEND_GRADIENT = (_OVER_BOX.replace("MORE", _KEPT) + "vec4 slope_ = {slope}(p_);\nvec2 most_ = {most}(p_);\n" + _GEOMETRY + _WEIGHTS
-                   + _BY_WEIGHTS + _BY_DISTANCE + _ADD_WEIGHTS)
+_BLEND_GRADIENT = (_OVER_BOX.replace("MORE", _KEPT) + "vec4 slope_ = {slope}(p_);\nvec2 most_ = {most}(p_);\n" + GEOMETRY + WEIGHTS
+                   + _BY_WEIGHTS + BY_DISTANCE + ADD_WEIGHTS)
 _CORNER = "({corner} == 0 ? g0_ : {corner} == 1 ? g1_ : g2_)"
 
 _CELLS = "cell_w cell_h columns face_count"
-_PAIR = _CELLS + " radius sigma squared hard_only nearest"
-_LISTED = "extent views tiles_x tiles_y tile_w tile_h"
+PAIR = _CELLS + " radius sigma squared hard_only nearest"
+LISTED = "extent views tiles_x tiles_y tile_w tile_h"
 _DEPTH = " gamma base"
 
 
@@ -179,7 +179,7 @@ def _need_faces(name, inputs, views, attrs):
             raise GraphError(f"{name}: {x!r} is no table of views of {attrs['face_count']} faces")
 
 
-def _over_pixels(vtype: str, tables: int):
+def over_pixels(vtype: str, tables: int):
     def infer(name, inputs, attrs):
         _need_faces(name, inputs[:tables], attrs["views"], attrs)
         if inputs[tables].extent.count != attrs["views"] * attrs["tiles_x"] * attrs["tiles_y"]:
@@ -231,7 +231,7 @@ def _lists(corners, boxes) -> list[np.ndarray]:
     return evaluate([binned.ranges, binned.faces])
 
 
-def _sample(colors: bool, squared: bool = False):
+def sample_of(colors: bool, squared: bool = False):
     def sample(rng):
         corners = _corners(rng)
         attrs = pair_attrs(_GRID, **{**_SOFT, "squared": squared})
@@ -244,7 +244,7 @@ def _sample(colors: bool, squared: bool = False):
 
 
 def _sums_sample(rng):
-    arguments, attrs = _sample(True)(rng)
+    arguments, attrs = sample_of(True)(rng)
     return arguments, {**attrs, "gamma": 0.05, "base": 1.05, "least": LEAST - 1.05}
 
 
@@ -286,26 +286,26 @@ def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
 
 
 def _alpha_vjp(g, y, v0, v1, v2, boxes, ranges, faces, **attrs):
-    pair = {k: attrs[k] for k in _PAIR.split()}
+    pair = {k: attrs[k] for k in PAIR.split()}
     slope = g * (1.0 - y)
     where = v0, v1, v2, boxes, slope
     return (*(_by_bands("soft_alpha_gradient", where, corner=k, **pair) for k in range(3)), None, None, None)
 
 
-op("soft_alpha", "v0 v1 v2 boxes ranges faces", attrs=f"{_LISTED} {_PAIR}", infer=_over_pixels("float", 4), reads=" ".join(["texel"] * 6),
-   ref=reference.soft_alpha, vjp=_alpha_vjp, functions=FUNCTIONS, cost=2000, sample=_sample(False),
+op("soft_alpha", "v0 v1 v2 boxes ranges faces", attrs=f"{LISTED} {PAIR}", infer=over_pixels("float", 4), reads=" ".join(["texel"] * 6),
+   ref=reference.soft_alpha, vjp=_alpha_vjp, functions=FUNCTIONS, cost=2000, sample=sample_of(False),
    loop=Loop(_ALPHA, "{y} = 1.0 - clear_;", "} }"),
    doc="1 - prod(1 - D) over the faces of the pixel's list that cover it or are within `radius`; D: the sigmoid of the signed distance (or "
        "its square) to the nearest edge over sigma, or with `hard_only` 1 for what covers the pixel.")
 
 
 def _alpha_gradient_sample(rng):
-    arguments, attrs = _sample(False)(rng)
-    attrs = {k: attrs[k] for k in _PAIR.split()}
+    arguments, attrs = sample_of(False)(rng)
+    attrs = {k: attrs[k] for k in PAIR.split()}
     return [*arguments[:4], rng.normal(size=(11, 26, 1))], {**attrs, "corner": 1, "low": 2, "high": 9, "band": 0}
 
 
-op("soft_alpha_gradient", "v0 v1 v2 boxes slope", alike=((1, 0), (2, 0), (3, 0)), attrs=f"corner low high band {_PAIR}",
+op("soft_alpha_gradient", "v0 v1 v2 boxes slope", alike=((1, 0), (2, 0), (3, 0)), attrs=f"corner low high band {PAIR}",
    reads=" ".join(["texel"] * 5), infer=_over_faces("vec4"),
    ref=reference.soft_alpha_gradient, functions=FUNCTIONS, cost=2000, sample=_alpha_gradient_sample,
    loop=Loop(_ALPHA_GRADIENT, "{y} += " + _CORNER + ";", "} }"),
@@ -318,7 +318,7 @@ for _name, _vtype, _body, _doc in (
         ("soft_most", "vec2", "{y} = vec2(near_ || {y}.x != 0.0 ? most_ : 0.0, 1.0 - clear_);",
          "The largest depth of the faces near the pixel, 0 if there is none, at least that of normalized depth 1e-10; and alpha, as of "
          "soft_alpha.")):
-    op(_name, "v0 v1 v2 c0 c1 c2 boxes ranges faces", attrs=f"{_LISTED} {_PAIR} least{_DEPTH}", infer=_over_pixels(_vtype, 7),
+    op(_name, "v0 v1 v2 c0 c1 c2 boxes ranges faces", attrs=f"{LISTED} {PAIR} least{_DEPTH}", infer=over_pixels(_vtype, 7),
        reads=" ".join(["texel"] * 9), ref=getattr(reference, _name), functions=FUNCTIONS, cost=3000, sample=_sums_sample,
        loop=Loop(_SUMS, _body, "} }"), doc=_doc)
 
@@ -346,7 +346,7 @@ def _blend_vjp(g, y, sums, most, background, v0, v1, v2, c0, c1, c2, boxes, gamm
     where = v0, v1, v2, c0, c1, c2, boxes, slope, compose(most.x, by_clear)
     places = (_by_bands("soft_place_gradient", where, corner=k, gamma=gamma, **attrs) for k in range(3))
     colors = (_by_bands("soft_color_gradient", where, corner=k, gamma=gamma, **attrs) for k in range(3))
-    return (None, None, by_background, *places, *colors, None)
+    return (slope, None, by_background, *places, *colors, None)
 
 
 def _blend_infer(name, inputs, attrs):
@@ -362,11 +362,11 @@ def _blend_sample(over):
         arguments, attrs = _sums_sample(rng)
         nodes = [constant_table(x.reshape(-1, x.shape[2])[:_GRID.views * _GRID.faces]) for x in arguments[:7]]
         return [reference.soft_sums(*arguments, **attrs), reference.soft_most(*arguments, **attrs), rng.uniform(0, 1, (1, 1, 3)), *nodes], {
-            **{k: attrs[k] for k in (_PAIR + _DEPTH).split()}, "over": over}
+            **{k: attrs[k] for k in (PAIR + _DEPTH).split()}, "over": over}
     return sample
 
 
-op("soft_blend", "sums most background v0 v1 v2 c0 c1 c2 boxes", attrs=f"{_PAIR}{_DEPTH} over", infer=_blend_infer,
+op("soft_blend", "sums most background v0 v1 v2 c0 c1 c2 boxes", attrs=f"{PAIR}{_DEPTH} over", infer=_blend_infer,
    reads="own own own texel texel texel texel texel texel texel", ref=reference.soft_blend, vjp=_blend_vjp, cost=20,
    sample=_blend_sample(0),
    glsl="""if ({over} != 0) {
@@ -385,7 +385,7 @@ def _blend_gradient_sample(rng):
     arguments, attrs = _sums_sample(rng)
     most = reference.soft_most(*arguments, **attrs)
     most[..., 1] = rng.normal(size=most.shape[:2])
-    attrs = {k: attrs[k] for k in (_PAIR + " gamma").split()}
+    attrs = {k: attrs[k] for k in (PAIR + " gamma").split()}
     return [*arguments[:7], rng.normal(size=(11, 26, 4)), most], {**attrs, "corner": 2, "low": 2, "high": 9, "band": 0}
 
 
@@ -393,7 +393,7 @@ for _name, _vtype, _body, _what in (("soft_place_gradient", "vec4", "{y} += " + 
                                     ("soft_color_gradient", "vec3",
                                      "{y} += slope_.xyz * (w_ * ({corner} == 0 ? b_.x : {corner} == 1 ? b_.y : b_.z));", "colour")):
     op(_name, "v0 v1 v2 c0 c1 c2 boxes slope most", alike=(*((k, 0) for k in range(1, 7)), (8, 7)),
-       attrs=f"corner low high band {_PAIR} gamma", reads=" ".join(["texel"] * 9), infer=_over_faces(_vtype), cost=3000,
+       attrs=f"corner low high band {PAIR} gamma", reads=" ".join(["texel"] * 9), infer=_over_faces(_vtype), cost=3000,
        ref=getattr(reference, _name), functions=FUNCTIONS, sample=_blend_gradient_sample, loop=Loop(_BLEND_GRADIENT, _body, "} }"),
        doc=f"Transpose of soft_blend: for each face the gradient by one corner's {_what}, over the pixels of its box in rows low to high "
            "of the cell; `band` rows of padding. slope: by the sum of colours and of weights; most: the largest depth, and the gradient by "

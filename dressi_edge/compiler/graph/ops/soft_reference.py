@@ -90,7 +90,21 @@ def near_pairs(v0, v1, v2, boxes, cell_w, cell_h, columns, face_count, radius, s
     ys, xs = boxes[face, 1] + k // np.maximum(wide[face, 0], 1), boxes[face, 0] + k % np.maximum(wide[face, 0], 1)
     view = face // face_count
     q = np.stack([xs - view % columns * cell_w + 0.5 - cell_w / 2, ys - view // columns * cell_h + 0.5 - cell_h / 2], 1)
-    v = v[face]
+    found, near = _pairs(face, ys, xs, v[face], q, radius, sigma, squared, hard_only, nearest)
+    near &= (ys % cell_h >= low) & (ys % cell_h < high)
+    return Pairs(*(x[near] for x in found))
+
+
+def all_pairs(v0, v1, v2, radius, sigma, squared, hard_only, nearest) -> Pairs:
+    """The pair of each face with the place (0, 0); of those that are further than `radius` the probability is 0."""
+    v = np.stack([x.reshape(-1, 4) for x in (v0, v1, v2)], 1)
+    n = np.arange(len(v))
+    found, near = _pairs(n, n, n, v, np.zeros((len(v), 2)), radius, sigma, squared, hard_only, nearest)
+    return found._replace(probability=np.where(near, found.probability, 0), clear=np.where(near, found.clear, 1))
+
+
+def _pairs(face, ys, xs, v, q, radius, sigma, squared, hard_only, nearest) -> tuple[Pairs, np.ndarray]:
+    """The pairs of faces with corners v (n, 3, 4) and places q (n, 2), and which of them are near."""
     a, iw = v[..., :2] - q[:, None], v[..., 2]
     c = np.stack([_cross(a[:, 1], a[:, 2]), _cross(a[:, 2], a[:, 0]), _cross(a[:, 0], a[:, 1])], 1)
     whole = c.sum(1)
@@ -109,8 +123,7 @@ def near_pairs(v0, v1, v2, boxes, cell_w, cell_h, columns, face_count, radius, s
     d2, t = d2[pick], np.stack([x[1] for x in rows], 1)[pick]
     foot, along = np.stack([x[2] for x in rows], 1)[pick], np.stack([x[3] for x in rows], 1)[pick]
     d = np.sqrt(d2)
-    keep = hard if hard_only else hard | (d <= radius)
-    keep &= (ys % cell_h >= low) & (ys % cell_h < high)
+    near = hard if hard_only else hard | (d <= radius)
     sign = np.where(hard, 1.0, -1.0)
     s = sign * (d2 if squared else d) / sigma
     e = np.exp(-np.abs(s))
@@ -130,7 +143,7 @@ def near_pairs(v0, v1, v2, boxes, cell_w, cell_h, columns, face_count, radius, s
     depth = (weights * v[..., 3]).sum(1)
     held = depth > nearest
     parts = (face, ys, xs, v, probability, clear, np.minimum(depth, nearest), weights, a, facing, area, total, held, edge, sign, step, t)
-    return Pairs(*(x[keep] for x in parts))
+    return Pairs(*parts), near
 
 
 def soft_alpha(v0, v1, v2, boxes, ranges, faces, extent, **attrs):
@@ -172,7 +185,7 @@ def soft_most(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, extent, gamma, base,
     return np.stack([np.where(some, most, 0), 1 - clear], 2)
 
 
-def _corner_gradient(p: Pairs, gs, gw):
+def corner_gradient(p: Pairs, gs, gw):
     """(n, 3, 4) by the corners: gs by what the sigmoid is of, gw (n, 3) by the weights of the corners, depth's own part left out."""
     out = np.zeros_like(p.corners)
     solid = p.total > 0
@@ -221,7 +234,7 @@ def soft_blend(sums, most, background, *_, gamma, base, over, **attrs):
 def soft_alpha_gradient(v0, v1, v2, boxes, slope, corner, band, **attrs):
     """By one corner. slope: the gradient by alpha times what is clear."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
-    g = _corner_gradient(p, slope[p.ys, p.xs, 0] * p.probability, np.zeros((len(p.face), 3)))
+    g = corner_gradient(p, slope[p.ys, p.xs, 0] * p.probability, np.zeros((len(p.face), 3)))
     return _by_face(p, g[:, corner], v0, band)
 
 
@@ -238,7 +251,7 @@ def soft_place_gradient(v0, v1, v2, c0, c1, c2, boxes, slope, most, corner, gamm
     gw = (slope[:, None, :3] * _colors(p, c0, c1, c2)).sum(-1)
     by_weight = (gw * p.weights).sum(1) + slope[:, 3]
     gz = np.where(p.held, 0, by_weight * w / gamma)
-    g = _corner_gradient(p, by_weight * w * p.clear + by_clear * p.probability, gw * w[:, None] + gz[:, None] * p.corners[..., 3])
+    g = corner_gradient(p, by_weight * w * p.clear + by_clear * p.probability, gw * w[:, None] + gz[:, None] * p.corners[..., 3])
     g[..., 3] = gz[:, None] * p.weights
     return _by_face(p, g[:, corner], v0, band)
 

@@ -1,6 +1,7 @@
 """Every face near a pixel, without layers: lists of faces by tile, and an online softmax over them (docs/conventions.md, "Every face").
 
-Published as SoftRas (Liu et al. 2019) and PyTorch3D's `softmax_rgb_blend`. Colours are those of the faces' corners, linear on the face.
+Published as SoftRas (Liu et al. 2019) and PyTorch3D's `softmax_rgb_blend`. Colours are those of the faces' corners, linear on the face, and
+for the faces that weigh most at a pixel those which their materials have there.
 """
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ....cache.errors import InputError
-from ...graph.functions import absolute, apply, clamp, compose, constant_table, lookup, select
+from ...graph.functions import absolute, apply, clamp, compose, constant, constant_table, lookup, select
 from ...graph.ir import UNIT, Node, table
 from ...graph.ops.bins import Grid
 from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
@@ -22,10 +23,11 @@ from ...graph.optable import as_node
 from ..atlas import Atlas
 from ..camera import ViewTable
 from ..topology import Topology
-from .fragments import Fragments, Layer, screen_segments
+from .fragments import Fragments, Layer, Span, screen_segments
 from .softness import Softness
 
 FARTHEST = 1e8  # pixels from the middle of the picture
+OWN, MOST = 4, 8  # faces of a pixel that are shaded there: where a material asks for it, and at most
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class Range:
 
 
 class BinnedFragments(Fragments):
-    """What pixels show in front is drawn hard, as one layer; `silhouette` and `color` are of all faces near them."""
+    """What pixels show in front is drawn hard, as layer 0; `silhouette` and `color` are of all faces near them. Layers 1 to `heaviest` are
+    the faces with the largest weights in the colour, largest first."""
 
     at_corners = True
 
@@ -100,16 +103,65 @@ class BinnedFragments(Fragments):
     def layers(self) -> list[Layer]:
         hard = self.front >= 0
         nowhere = apply("broadcast", 0.0, extent=self.atlas.extent)
-        return [Layer(self.front if self.faces else None, hard, nowhere, apply("to_float", hard), self.position)]
+        front = Layer(self.front if self.faces else None, hard, nowhere, apply("to_float", hard), self.position)
+        return [front, *(self._heavy(k) for k in range(self.heaviest))] if self.faces else [front]
+
+    @property
+    def heaviest(self) -> int:
+        """How many of the faces that weigh most have layers of their own."""
+        return OWN if self.settings.layers is None else self.settings.layers
+
+    def at_pixels(self, linear: bool) -> int:
+        """How many of them are shaded at pixels, where what materials read is linear on faces or is not."""
+        return 0 if linear and self.settings.layers is None else self.heaviest
+
+    @cached_property
+    def _pairs(self) -> dict[Node, Node]:
+        """Of a layer's face: weights of its second and third corner, depth, probability at each pixel."""
+        return {}
+
+    def _heavy(self, number: int) -> Layer:
+        """The face that weighs most, after `number` others."""
+        where, attrs = self._listed
+        four = constant(np.zeros((1, 1, 4), int))
+        for _ in range(number // 4 + 1):
+            four = apply("soft_heaviest", *self.places, *where, four, **attrs, gamma=float(self.settings.gamma))
+        face = apply("swizzle", four, channels="xyzw"[number % 4]) - 1
+        shown, (v0, v1, v2) = face >= 0, (lookup(x, face, self.boxes) for x in self.places)
+        settings = {k: self.pair[k] for k in ("radius", "sigma", "squared", "hard_only", "nearest")}
+        pair = apply("soft_pair", v0, v1, v2, self.position, **settings)
+        self._pairs[face] = pair
+        b = [x * v.z for x, v in zip((1.0 - pair.x - pair.y, pair.x, pair.y), (v0, v1, v2))]
+        mass = b[0] + b[1] + b[2]
+        some = mass > 1e-20
+        point = (v0.xy * b[0] + v1.xy * b[1] + v2.xy * b[2]) / select(some, mass, 1.0)
+        point = apply("stop_gradient", select(some, point, self.position))
+        nowhere = apply("broadcast", 0.0, extent=self.atlas.extent)
+        return Layer(face, shown, nowhere, select(shown, pair.w, 0.0), point)
+
+    def barycentrics(self, layer: Layer, span: Span | None = None) -> list[Node]:
+        """See `Fragments`; of the heaviest faces, those by which all faces are blended."""
+        if layer.face not in self._pairs:
+            return super().barycentrics(layer, span)
+        pair = self._pairs[layer.face]
+        return [1.0 - pair.x - pair.y, pair.x, pair.y]
 
     @cached_property
     def places(self) -> list[Node]:
         """Of each view's faces the three corners: (x, y, near / w, depth), tables of views x faces."""
+        return self.view_corners(self._place)
+
+    @cached_property
+    def _place(self) -> Node:
+        """The same of views x vertices."""
         a, t, least = self.atlas, self.topology, max(self.near * 1e-6, 1e-30)
         w = select(absolute(self.clip.w) < least, select(self.clip.w < 0.0, -least, least), self.clip.w)
         place = clamp(self.clip.xy * compose(a.width / 2, a.height / 2) / w, -FARTHEST, FARTHEST)
-        corner = compose(place.x, place.y, self.near / w, self.range.depth(self.clip, t.vertex_count, a.views))
-        return self.view_corners(corner)
+        return compose(place.x, place.y, self.near / w, self.range.depth(self.clip, t.vertex_count, a.views))
+
+    def corner_point(self, number: int, span: Span | None) -> Node:
+        """vec2: where a corner of each face is on screen, from the middle of its view's cell."""
+        return self.view_corners(self._place, span)[number].xy
 
     @cached_property
     def boxes(self) -> Node:
@@ -138,8 +190,9 @@ class BinnedFragments(Fragments):
         where, attrs = self._listed
         return apply("soft_alpha", *self.places, *where, **attrs)
 
-    def color(self, shaded: Sequence[Node], background: Node | float) -> Node:
-        """Colours of the three corners, vec3 tables of views x faces, as all faces blend over a background."""
+    def color(self, shaded: Sequence[Node], background: Node | float, own: Sequence[Node] = ()) -> Node:
+        """Colours of the three corners, vec3 tables of views x faces, as all faces blend over a background. own: colours of the first
+        of the layers 1, 2, ... at pixels; these faces then have them instead."""
         if len(shaded) != 3 or any(x.vtype != "vec3" or x.extent not in (UNIT, self._table) for x in shaded):
             raise InputError(f"Binned blends what the corners of faces show: three vec3 tables of {self._table} are needed, "
                              f"got {list(shaded)!r:.80}")
@@ -149,9 +202,24 @@ class BinnedFragments(Fragments):
         depth = {"gamma": float(self.settings.gamma), "base": float(self.range.base)}
         inputs = *self.places, *shaded
         sums, most = (apply(name, *inputs, *where, **attrs, **depth, least=LEAST - self.range.base) for name in ("soft_sums", "soft_most"))
+        sums = apply("stop_gradient", sums)  # gradients by the corners come from soft_blend
+        if own:
+            more = self._more(shaded, own, most)
+            sums = sums + compose(more.x, more.y, more.z, 0.0)
         blend = apply("soft_blend", sums, most, background, *inputs, self.boxes, over=int(self.settings.over), **self.pair, **depth)
         self.blend = blend if self.blend is None else self.blend
         return blend.xyz
+
+    def _more(self, shaded: Sequence[Node], own: Sequence[Node], most: Node) -> Node:
+        """What the sums of colours lack if faces have colours of their own: weight times what these differ from those of their corners."""
+        nearest, more = apply("stop_gradient", most.x), None
+        for layer, color in zip(self.layers[1:], own):
+            pair, (b0, b1, b2) = self._pairs[layer.face], self.barycentrics(layer)
+            c0, c1, c2 = (lookup(x, layer.face, self.boxes) for x in shaded)
+            away = apply("exp", apply("min", (pair.z - nearest) * (1.0 / self.settings.gamma), 0.0))
+            term = (color - (c0 * b0 + c1 * b1 + c2 * b2)) * (layer.probability * away)
+            more = term if more is None else more + term
+        return more
 
     @property
     def _table(self):
@@ -171,7 +239,9 @@ class Binned:
     list, 16 a face of each view unless given. What does not fit is not left out: tiles then go through longer lists, slowly.
 
     Colours are worked out at the corners of faces and are linear on the face (Gouraud shading): exact for colours of vertices and corners,
-    constant colours and normals "flat"; materials that read a texture or a pixel are refused. Raises InputError."""
+    constant colours and normals "flat". layers: so many faces of a pixel, those with the largest weights, are shaded at the pixel instead,
+    0 to 8; unless given 4 where a material samples a texture or reads the pixel, else none. The others still count, with what their corners
+    show; so nothing is left out, and where no more faces than that are near it is all exact. Raises InputError."""
 
     r: float = 2.0
     sigma: float | None = None
@@ -182,6 +252,7 @@ class Binned:
     hard: bool = False
     tile: tuple[int, int] | None = (8, 8)
     pairs: int | None = None
+    layers: int | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("r", 0.0), ("sigma", 1e-12), ("gamma", 1e-9)):
@@ -199,6 +270,8 @@ class Binned:
             raise InputError(f"Binned: tile is {self.tile!r:.40}; (width, height), each from 1 to 64 pixels, or None is needed")
         if self.pairs is not None and (type(self.pairs) is not int or not 1 <= self.pairs < 1 << 26):
             raise InputError(f"Binned: pairs is {self.pairs!r:.40}; a whole number from 1 to {(1 << 26) - 1} is needed")
+        if self.layers is not None and (type(self.layers) is not int or not 0 <= self.layers <= MOST):
+            raise InputError(f"Binned: layers is {self.layers!r:.40}; a whole number from 0 to {MOST} is needed")
 
     @property
     def width(self) -> float:

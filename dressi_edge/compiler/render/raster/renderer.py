@@ -78,8 +78,10 @@ class HardSoftRas:
         return PeeledFragments(clip, topology, atlas, self.softness, near, faces)
 
 
-def renderer_of(softness: Softness) -> Outline | HardSoftRas:
-    """The renderer that these settings mean."""
+def renderer_of(softness: Softness | Renderer) -> Renderer:
+    """The renderer that these settings mean; one that is given is that."""
+    if not isinstance(softness, Softness):
+        return softness
     if softness.distance == "outline":
         return Outline(softness.r, softness.sigma)
     return HardSoftRas(softness.r, softness.layers, softness.sigma, softness.delta, softness.edges)
