@@ -28,7 +28,6 @@ from dressi_edge.compiler.scene import (
     Light,
     Mesh,
     Scene,
-    Texture,
     Unlit,
     Vertex,
     icosphere,
@@ -402,14 +401,9 @@ def test_several_parts_and_an_orthographic_view_are_blended_together(gpu):
             np.testing.assert_allclose(middle, expected, atol=1e-3)
 
 
-def test_what_is_not_linear_on_a_face_is_refused():
-    mesh = pear(16)
+def test_pictures_in_the_place_of_corners_are_refused():
     s = Scene(orbit(1, [20], 3.0, 36, (64, 48)))
-    s.add(mesh, material=Unlit(Texture(s.parameter("texture", mesh.texture))))
-    with pytest.raises(InputError, match="samples a texture.*Outline and HardSoftRas"):
-        s.frame(Binned()).color  # noqa: B018
-    s = Scene(orbit(1, [20], 3.0, 36, (64, 48)))
-    s.add(mesh)
+    s.add(pear(16))
     with pytest.raises(InputError, match="three vec3 tables"):
         s.frame(Binned()).composed([s.input("x", shape=(1, 48, 64, 3))])
 
