@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
             opened = {}
             try:
                 for way, (mips, how) in ways.items():
-                    case = f"{name}, six views, texture {size}, {way}"
+                    case = f"step: {name}, six views, texture {size}, {way}"
                     if options.only in case and options.only != "error":
                         scene_of(mesh, cameras, size, mips).compile(options.profile, folder / "fit.dressi", **how)
                         opened[way] = session = runtime.load(folder / "fit.dressi", options.device)

@@ -29,10 +29,14 @@ PROMISES = {("capsule_sum", "segment"), ("capsule_sum", "center"), ("segment_sum
                                                  ("tile_words", "boxes ranges bases"), ("tile_ranges", "starts spilled total ranges bases"),
                                                  ("tile_list", "words starts spilled total faces ranges bases"),
                                                  ("listed_keys", "footprint entries total"), ("merge_listed", "total"),
-                                                 ("listed_bins", "ordered total"), ("mip_list", "ordered"),
+                                                 ("listed_bins", "ordered total"),
+                                                 ("mip_reads", "ordered footprint"), ("mip_starts", "ordered total"),
+                                                 ("mip_spans", "entries runs total"), ("mip_meet", "s00 s10 s01 s11 firsts ends"),
                                                  ("soft_alpha", "faces"), ("soft_sums", "faces"), ("soft_most", "faces"),
                                                  ("soft_heaviest", "faces"),
-                                                 ("mip_refine_transposed", "g"), ("mip_rows", "bins"),
+                                                 ("mip_texels", "where texture half rest"), ("mip_taken", "each"), ("mip_fold", "each"),
+                                                 ("sample_touched", "entries"),
+                                                 *((f"mip_sums_{k}", "reads") for k in ("00", "10", "01", "11")),
                                                  ("soft_alpha_gradient", "slope"), ("soft_place_gradient", "slope"),
                                                  ("soft_color_gradient", "slope"))
               for param in params.split())}

@@ -11,7 +11,9 @@ from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import constant, dot, total
-from dressi_edge.compiler.graph.ops.mips import Pyramid, levels
+from dressi_edge.compiler.graph.ops.mip_lists import RUN, run_length
+from dressi_edge.compiler.graph.ops.mip_pyramid import Pyramid
+from dressi_edge.compiler.graph.ops.mips import levels
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.render.texture import WRAPS, sample_texture
@@ -67,16 +69,28 @@ def test_levels_are_means_down_to_one_texel(size):
     assert p.size(p.last) == (1, 1) and len(expected) == p.last + 1
     np.testing.assert_allclose(half, expected[1], atol=1e-12)
     for level in range(2, p.last + 1):
-        np.testing.assert_allclose(p.texels(rest.reshape(-1, 3), level, 2), expected[level], atol=1e-12)
+        np.testing.assert_allclose(p.part(rest, level), expected[level], atol=1e-12)
 
 
-def test_levels_of_odd_sizes_stand_for_their_texels():
-    """Of 100 x 75 texels, level 5 has 4 x 3; the last column stands for texels 96 to 99."""
-    texture = np.random.default_rng(0).normal(size=(75, 100, 1))
-    p, rest = Pyramid(100, 75), evaluate(levels(constant(texture)))[1].reshape(-1, 1)
-    assert [p.size(k) for k in (1, 2, 5, 7)] == [(50, 38), (25, 19), (4, 3), (1, 1)]
-    np.testing.assert_allclose(p.texels(rest, 2, 2)[3, 7], texture[12:16, 28:32].mean((0, 1)), atol=1e-12)
-    np.testing.assert_allclose(p.texels(rest, 5, 2)[1, 3], texture[32:64, 96:].mean((0, 1)), atol=1e-12)
+@pytest.mark.parametrize("size", [(100, 75), (5, 3), (333, 217), (4, 1), (256, 3), (3, 256)], ids=str)
+def test_each_texel_of_a_level_is_the_mean_of_the_texels_that_it_stands_for(gpu, size):
+    """Of any size, on the device, too: of 100 x 75 texels level 5 has 4 x 3; its last column is the mean of texels 96 to 99."""
+    w, h = size
+    texture, p = fp32(np.random.default_rng(0).normal(size=(h, w, 3))), Pyramid(w, h)
+    program = Program()
+    half, rest = levels(program.input("texture", picture("vec3", w, h)))
+    program.plan("p", {}, {"half": (half, picture("vec3", *p.size(1))), "rest": (rest, picture("vec3", p.rest.width, p.rest.height))})
+    device, exact = gpu.run(program, {"texture": texture}), evaluate([half, rest], {"texture": texture})
+    rows = set()
+    for level in range(1, p.last + 1):
+        by = 1 << level
+        expected = [[texture[y:y + by, x:x + by].mean((0, 1)) for x in range(0, w, by)] for y in range(0, h, by)]
+        for found, atol in ((exact, 1e-12), ((device["half"], device["rest"]), 1e-5)):
+            np.testing.assert_allclose(p.part(found[1], level) if level > 1 else found[0], expected, atol=atol)
+        if level > 1:  # levels do not lie on one another
+            own = set(range(p.row(level), p.row(level) + p.size(level)[1]))
+            assert not own & rows and max(own) < p.rest.height
+            rows |= own
 
 
 # Samples and their transpose
@@ -120,6 +134,29 @@ def test_the_gradient_is_the_transpose_of_the_sample(gpu, size, wrap):
     device = gpu.run(s.program, feed)
     np.testing.assert_allclose(device["y"], y, atol=4e-5)
     np.testing.assert_allclose(device["gradient"], g, atol=4e-5 * max(1, abs(g).max()))
+
+
+@pytest.mark.parametrize("size", [(4, 4), (5, 2), (300, 200)], ids=str)
+def test_many_pixels_on_few_texels_are_summed_in_runs(gpu, size):
+    """72,261 pixels: of 4 x 4 texels each gets thousands, in sums of at least 128 each."""
+    wide, high = 333, 217
+    rng, p = np.random.default_rng(1), Program()
+    feed = {"texture": fp32(rng.normal(size=(size[1], size[0], 3))), "uv": fp32(rng.uniform(-0.5, 1.5, (high, wide, 2))),
+            "lod": fp32(rng.uniform(-1, 3, (high, wide, 1))), "g": fp32(rng.normal(size=(high, wide, 3)))}
+    texture, uv = p.input("texture", picture("vec3", *size)), p.input("uv", picture("vec2", wide, high))
+    lod, g = p.input("lod", picture("float", wide, high)), p.input("g", picture("vec3", wide, high))
+    gradient, = gradients(total(dot(sample_texture(texture, uv, "repeat", lod=lod), g)), [texture])
+    p.plan("p", {}, {"gradient": (gradient, picture("vec3", *size))})
+    exact, = evaluate([gradient], feed)
+    found = gpu.run(p, feed)["gradient"]
+    assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(exact)
+    product = (evaluate([sample_texture(texture, uv, "repeat", lod=lod)], feed)[0] * feed["g"]).sum()
+    assert (feed["texture"] * exact).sum() == pytest.approx(product, rel=1e-9)
+
+
+def test_a_sum_grows_with_the_pixels_of_a_texel():
+    assert run_length(100, 1000) == RUN and run_length(1 << 25, 21) == 2048
+    assert (1 << 25) / run_length(1 << 25, 21) < 65536  # turns of a loop that llvmpipe does
 
 
 def test_two_runs_give_the_same_bits(gpu):
@@ -283,6 +320,26 @@ def test_a_texture_with_mips_is_fitted_and_the_report_says_why_all_texels_are_up
         session.step(39)
         assert session.loss() < 0.01 * before
         assert "every texel is updated: its mip levels are means of all its texels" in str(session.report())
+    gpu.silent()
+
+
+def test_a_phase_at_rest_reads_lists_and_has_the_bits_of_one_that_does_not(gpu, tmp_path):
+    """With nothing computed beforehand the sample reads the images; the steps, and the loss, are the same to the bit."""
+    found, size = [], (50, 33)
+    for cache in (True, False):
+        scene = Scene(orbit(2, [20, -15], 3.0, 40, (100, 75)))
+        texture = scene.parameter("texture", 0.2 + 0.6 * fine(64)[:size[1], :size[0]], 0.0, 1.0, kind="image")
+        scene.add(sphere(162, 1.0), material=Unlit(Texture(texture, mips=True, wrap=("repeat", "clamp"))))
+        seen = scene.frame(HardSoftRas(r=1.0, delta=0.0))
+        photo = scene.input("photo", np.random.default_rng(3).random((2, 75, 100, 3)))
+        scene.phase("fit", 40, {"texture": Adam(0.03)}, color=l2(seen.color, photo, mask=seen.mask))
+        description = scene.compile("vulkan_min", tmp_path / "a.dressi", cache=cache)
+        assert any("sample_touched" in ops for ops in description["meta"]["holds"]["fit"]) == cache
+        with runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+            session.step(5)
+            found.append((session.get("texture"), session.loss()))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert found[0][1] == found[1][1]
     gpu.silent()
 
 

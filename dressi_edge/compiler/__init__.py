@@ -32,6 +32,7 @@ from .passes.groups import grouped, lowered
 from .passes.lists import MIN_TEXELS, find_lists
 from .passes.pack import pack
 from .passes.plans import PackedPlan, plan_graphs, stored
+from .passes.still import find_still
 from .passes.store import choose, halve
 
 __all__ = ["Built", "Options", "Program", "build", "compile_program"]
@@ -96,7 +97,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     groups = checked("simplified", lowered(grouped(program), room(kind, profile)))
     groups = checked("banded", banded(groups, program))
     if options.lists is not None:
-        groups = checked("listed", tuple(find_lists(group, program, profile, options.lists) for group in groups))
+        groups = tuple(find_lists(group, program, profile, options.lists) for group in groups)
+    if options.cache and not options.naive:
+        groups = checked("listed", tuple(map(find_still, groups)))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]

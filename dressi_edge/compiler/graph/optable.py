@@ -144,6 +144,7 @@ class Op:
     keeps: bool = False  # where it rests it is in an image of its own, from which what is cheap is computed again
     held: bool = False  # a leaf that the session holds by name: an input or a state
     listed: Callable | None = None  # of a node: `Listed`
+    still: Callable | None = None  # of a node whose inputs rest but those of its extent's images: passes/still.py
     dense: str = ""  # why of a texture that it samples, input 0, there can be no list
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none

@@ -72,8 +72,7 @@ def _of_group(group: Group, program: Program, cache: bool) -> list[PlanGraph]:
         moving = frozenset().union(*(spec.moving for spec in group.specs))
         rooted = [specialize(roots, spec.dynamic, group.name, cached, moving) for spec, roots in zip(group.specs, rooted)]
         entered = [specialize(list(x.enter.values()), frozenset(x.copies), group.name, cached) for x in group.lists]
-        if moving:
-            totals |= counts([n for roots in group.roots for n in roots], [n for roots in rooted for n in roots], group.name, cached)
+        totals |= counts([n for roots in group.roots for n in roots], [n for roots in rooted for n in roots], group.name, cached)
         dynamic = frozenset().union(*(spec.dynamic for spec in group.specs))
         last = late(rooted, dynamic, cached) if moving else ()
         beforehand = prepare(group.name, cached, MAX_NEEDS - len(group.lists), moving, last)

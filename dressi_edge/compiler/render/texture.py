@@ -7,7 +7,8 @@ from __future__ import annotations
 from ...cache.errors import GraphError, InputError
 from ..graph.functions import absolute, apply, clamp, compose, dot, maximum, select, stop_gradient
 from ..graph.ir import UNIT, Extent, Node
-from ..graph.ops.mips import LEAST, sample_mips
+from ..graph.ops.mip_pyramid import LEAST
+from ..graph.ops.mips import sample_mips
 from ..graph.optable import as_node
 
 GRADIENTS = ("exact", "inverse_uv", "none")

@@ -13,6 +13,8 @@ from . import (
     lookup,
     matrix,
     mip_gradient,
+    mip_lists,
+    mip_still,
     mips,
     packed,
     pixels,

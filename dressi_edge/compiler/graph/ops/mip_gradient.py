@@ -1,196 +1,158 @@
 """The exact transpose of trilinear sampling: for each texel of each level the sum of weight x gradient over its pixels, by gathers only.
 
-Each pixel is two bilinear reads, 2 k and 2 k + 1: of its level and of the next. As in `texture_gradient.py` they are sorted by the texel at
-the lower corner of their footprint, now by its number among the texels of all levels; the four bins around a texel, which wrap within its
-level, hold all of its reads. Lists for the texture, its half and the rest are excerpts of one; all but the gathers depends on
-coordinates and levels of detail alone. What reaches a coarse level goes on to the finer ones by the transposes of what made it.
+    reads by cell (`mip_lists.py`) -> sums of runs -> touched texels -> levels, coarse to fine
+
+The reads of a cell are summed by themselves, once with the weights of each of its corners: a gradient is fetched twice a pixel, not eight
+times. A texel then is the sum of a corner of each of the four cells around it. Where many pixels see few texels, a cell is several sums.
+
+All but sums depends on coordinates and levels of detail alone. What a texel of level l gets is divided by how many texels it stands for;
+so it is what each of those gets, and what comes of coarse levels is handed down as it is.
 """
 from __future__ import annotations
 
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..ir import UNIT, Extent, Node, image, table
-from ..optable import apply, op
-from .mips import Pyramid, bilinear, found, split_lod, texels_of, wrapped, wraps_of
-from .texture_gradient import MAX_PIXELS, gathered, sorted_keys
+from ..ir import Extent, Node, image
+from ..optable import Loop, apply, empty, negative, op
+from .lookup import lookup_infer, lookup_ref
+from .mip_lists import SIZE, Chain, around_ref, numbered, over, reads_of, share_ref
+from .mip_pyramid import Pyramid
+from .stencil import upsample
 
-MAX_SIDE = 4096  # of an image on every device
-
-
-def _places(p: Pyramid) -> Extent:
-    """An image with a place for each texel of all levels, and for those that the rest's image has more."""
-    count = p.starts[2] + p.rest.width * p.rest.height
-    width = p.width
-    while -(-count // width) > MAX_SIDE and width < MAX_SIDE:
-        width *= 2
-    return image(width, -(-count // width))
+FOLD = 4  # the level that gets what all coarser ones get at once
 
 
-def transpose(g: Node, uv: Node, lod: Node, covered: Node, extent: Extent, wrap: tuple[str, str]) -> tuple[Node, Node, Node]:
-    """The gradients of a texture of `extent`, its half and its rest."""
+def transpose(g: Node, uv: Node, lod: Node, covered: Node, extent: Extent, wrap: tuple[str, str]) -> Node:
+    """The gradient of a texture of `extent`."""
     p = Pyramid(extent.width, extent.height)
-    uv, lod, covered = (x if x.extent != UNIT or g.extent == UNIT else apply("broadcast", x, extent=g.extent) for x in (uv, lod, covered))
-    size, places = {"width": p.width, "height": p.height}, _places(p)
-    footprint = apply("mip_footprint", uv, lod, covered, across=places.width, wrap=wrap, **size)
-    ordered = sorted_keys(footprint, places.width, 2 * uv.extent.count)
-    bins = apply("texture_bins", ordered, extent=places)
-    rows = apply("mip_rows", bins, **size)
-    entries = apply("mip_list", rows, bins, ordered, footprint, lod, **size)
-    parts = ((0, extent), (p.starts[1], image(*p.size(1))), (p.starts[2], p.rest))
-    return tuple(gathered(g, apply("excerpt", rows, first=first, extent=of), entries, 8 * uv.extent.count) for first, of in parts)
+    size = {"width": p.width, "height": p.height}
+    r = reads_of(p, *over(g.extent, uv, lod, covered), wrap)
+    sums = [apply(f"mip_sums_{corner}", g, r.spans, r.reads, pixels=g.extent.count) for corner in ("00", "10", "01", "11")]
+    around = [apply("mip_around", r.cells, r.touched.entries, ends=ends, **size) for ends in (0, 1)]
+    each = apply("mip_meet", *sums, *around, 1.0 if p.even else apply("mip_share", r.touched.entries, **size))
+    return _handed_down(p, each, r.touched.slots)
 
 
-def _footprint_infer(name, inputs, attrs):
-    uv, lod, covered = inputs
-    if uv.vtype != "vec2" or lod.vtype != "float" or covered.vtype != "int":
-        raise GraphError(f"{name}: vec2 coordinates, a float and an int mask are needed, got {uv!r}, {lod!r}, {covered!r}")
-    wraps_of(name, attrs["wrap"])
-    texels = uv.extent.width * uv.extent.height
-    if texels > MAX_PIXELS:
-        raise GraphError(f"{name}: {uv!r} has {texels} pixels; {MAX_PIXELS} are allowed")
-    return "vec4", table(2 * texels)
+def _handed_down(p: Pyramid, each: Node, slots: Node) -> Node:
+    """The texture's gradient, from the list of what touched texels of all levels get."""
+    def own(level: int) -> Node:
+        return apply("mip_taken", each, apply("excerpt", slots, first=p.starts[level], extent=image(*p.size(level))))
+
+    level = min(FOLD, p.last)
+    total = apply("mip_fold", each, slots, width=p.width, height=p.height, level=level)
+    while level:
+        level -= 1
+        total = own(level) + upsample(total, p.size(level))
+    return total
 
 
-def _footprint_ref(uv, lod, covered, width, height, across, wrap):
-    p = Pyramid(width, height)
-    level, t = split_lod(lod, p.last)
-    out = np.tile([-1.0, 0.0, 0.0, 0.0], (*covered.shape[:2], 2, 1))
-    for k in range(p.last + 1):
-        xs, ys, fx, fy = bilinear(uv, p, k, wrap)
-        number = p.starts[k] + ys[..., :1] * p.size(k)[0] + xs[..., :1]
-        f = [np.where(x[..., :1] == x[..., 1:], 0, s) if p.size(k)[axis] > 1 or wrap[axis] == "clamp" else s
-             for axis, (x, s) in enumerate(((xs, fx), (ys, fy)))]
-        found = np.concatenate([number % across, number // across, *f], 2)
-        for j in (0, 1):
-            here = (level + j == k) & (covered != 0) & ((j == 0) | (t > 0))
-            out[:, :, j] = np.where(here, found, out[:, :, j])
-    flat, e = out.reshape(-1, 4), table(2 * covered.size)
-    filled = np.tile([-1.0, 0.0, 0.0, 0.0], (e.width * e.height, 1))
-    filled[:len(flat)] = flat
-    return filled.reshape(e.height, e.width, 4)
+# ---- the transpose itself
+
+def _corner(corner: int, fx, fy, one=1.0):
+    return (fx if corner & 1 else one - fx) * (fy if corner >> 1 else one - fy)
 
 
-def _footprint_glsl(node: Node) -> str:
-    p, wrap, uv = Pyramid(node.attrs["width"], node.attrs["height"]), node.attrs["wrap"], node.inputs[0].extent
-    none = " ".join(f"if (lo_.{c} == hi_.{c}) s_.{c} = 0.0;" for c, w in zip("xy", wrap) if w == "clamp")
-    return f"""{{ {{y}} = vec4(-1.0, 0.0, 0.0, 0.0); int g_ = min({{i}} >> 1, {uv.width * uv.height - 1}), j_ = {{i}} & 1;
-    float d_ = clamp({{lod_at}}(g_), 0.0, {float(p.last)}), f_ = min(floor(d_), {float(p.last - 1)}); int m_ = int(f_) + j_; f_ = d_ - f_;
-    if ({{i}} >> 1 == g_ && {{covered_at}}(g_) != 0 && (j_ == 0 || f_ > 0.0)) {{ {p.glsl}
-    {wrapped(wrap).replace("{uv}", "{uv_at}(g_)")} ivec2 z_ = (ivec2({{width}}, {{height}}) + (1 << m_) - 1) >> m_;
-    {texels_of(wrap)} {none}
-    int q_ = o_[m_] + lo_.y * z_.x + lo_.x;
-    {{y}} = vec4(q_ % {{across}}, q_ / {{across}}, s_); }} }}"""
+def _sums_ref(g, spans, reads, corner):
+    pixels, (fx, fy, w) = reads.reshape(-1, 4)[:, 0].astype(int), reads.reshape(-1, 4)[:, 1:].T
+    terms = g.reshape(-1, g.shape[2])[pixels] * (_corner(corner, fx, fy) * w)[:, None]
+    return np.array([terms[begin:max(begin, end)].sum(0) for begin, end in spans.reshape(-1, 2)]).reshape(*spans.shape[:2], -1)
 
 
-def _pixels(rng):
-    return [rng.uniform(-0.6, 1.6, (6, 5, 2)), rng.uniform(-0.5, 4.5, (6, 5, 1)), rng.integers(0, 2, (6, 5, 1))]
+def _sums_infer(name, inputs, attrs):
+    g, spans, reads = inputs
+    if spans.vtype != "ivec2" or reads.vtype != "vec4" or g.extent.count != attrs["pixels"]:
+        raise GraphError(f"{name}: {attrs['pixels']} gradients, spans as ivec2 and reads as vec4 are needed, got {g!r}, {spans!r}, "
+                         f"{reads!r}")
+    return g.vtype, spans.extent
 
 
-_SIZE = {"width": 13, "height": 6}
-op("mip_footprint", "uv lod covered", alike=((1, 0), (2, 0)), attrs="width height across wrap", infer=_footprint_infer,
-   reads="texel texel texel", cost=60, ref=_footprint_ref, glsl=_footprint_glsl,
-   sample=lambda rng: (_pixels(rng), {**_SIZE, "across": 13, "wrap": ("repeat", "clamp")}),
-   doc="Of both bilinear reads of each pixel: the number of the lower texel among all levels, as column and row of an image `across` "
-       "wide, and the fractions towards the next, which wraps within its level; column -1 where nothing is read.")
+def _sums_loop(corner: int) -> Loop:
+    x, y = ("e_.y" if corner & 1 else "(1.0 - e_.y)"), ("e_.z" if corner >> 1 else "(1.0 - e_.z)")
+    return Loop("for (int k_ = {spans}.x; k_ < {spans}.y; ++k_) { vec4 e_ = {reads_at}(k_); {type} g_ = {g_at}(int(e_.x)) * e_.w;",
+                f"{{y}} += {x} * {y} * g_;")
 
 
-# ---- lists
-
-def _rows_ref(bins, width, height):
-    p, flat = Pyramid(width, height), bins.reshape(-1, 2)
-    counts = np.zeros(len(flat), np.int64)
-    for level in range(p.last + 1):
-        n = p.texels(flat[:, 1:] - flat[:, :1], level)[..., 0]
-        n = n + np.roll(n, 1, 1)
-        p.texels(counts[:, None], level)[..., 0] = n + np.roll(n, 1, 0)
-    ends = np.cumsum(counts)
-    return np.stack([ends - counts, ends], 1).reshape(bins.shape)
+for _corner_name, _number in (("mip_sums_00", 0), ("mip_sums_10", 1), ("mip_sums_01", 2), ("mip_sums_11", 3)):
+    op(_corner_name, "g spans reads", attrs="pixels", sums=(0,), reads="texel own texel", cost=60, infer=_sums_infer, when=empty(1),
+       ref=(lambda corner: lambda g, spans, reads, pixels: _sums_ref(g, spans, reads, corner))(_number), loop=_sums_loop(_number),
+       sample=lambda rng: ((lambda c: [rng.normal(size=(6, 5, 3)), c.spans, c.reads])(Chain(rng)), {"pixels": 30}),
+       doc=f"Over each run the sum of weight x g of corner {_corner_name[-2:]} (column, row) of its cell.")
 
 
-def _rows_glsl(node: Node) -> str:
-    total = Pyramid(node.attrs["width"], node.attrs["height"]).starts[-1]
-    return "{ int q_ = {i}; " + found(node) + f""" int at_ = o_[m_];
-    if (q_ >= {total}) {{y}} = ivec2(4 * {{bins_at}}({total - 1}).y); else {{
-    int x_ = a_.x, y_ = a_.y, r_ = z_.x - 1, b_ = z_.y - 1, l_ = x_ == 0 ? r_ : x_ - 1, u_ = y_ == 0 ? b_ : y_ - 1;
-    ivec2 own_ = {{bins_at}}(q_), left_ = {{bins_at}}(at_ + y_ * z_.x + l_), above_ = {{bins_at}}(at_ + u_ * z_.x + x_),
-          corner_ = {{bins_at}}(at_ + u_ * z_.x + l_), right_ = {{bins_at}}(at_ + y_ * z_.x + r_), end_ = {{bins_at}}(at_ + u_ * z_.x + r_);
-    int first_ = {{bins_at}}(at_).x, begin_ = {{bins_at}}(at_ + u_ * z_.x).x,
-        last_ = {{bins_at}}(at_ + b_ * z_.x + r_).y - {{bins_at}}(at_ + b_ * z_.x).x;
-    int s_ = own_.x + (x_ == 0 ? own_.x : right_.y - right_.x + left_.x) + (y_ == 0 ? above_.x - begin_ + first_ : last_ + above_.x)
-           + (y_ == 0 ? first_ : last_ + begin_) + (x_ == 0 ? 0 : end_.y - end_.x + corner_.x - begin_);
-    {{y}} = ivec2(s_, s_ + own_.y - own_.x + left_.y - left_.x + above_.y - above_.x + corner_.y - corner_.x); }} }}"""
+def _meet_ref(s00, s10, s01, s11, firsts, ends, share):
+    total = 0
+    for k, x in enumerate((s00, s10, s01, s11)):
+        flat = x.reshape(-1, x.shape[2])
+        before = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, 0)])
+        first, several = firsts[..., k] >> 1, firsts[..., k] & 1
+        begin = np.clip(first, 0, len(flat) - 1)
+        end = np.where(first < 0, begin, np.where(several != 0, np.clip(ends[..., k], begin, len(flat)), begin + 1))
+        total = total + before[end] - before[begin]
+    return share * total
 
 
-def _chain(rng):
-    """What each op of the chain makes of random pixels."""
-    from .texture_gradient import _bins_ref, _keys_ref, _merge_ref
-    p = Pyramid(**_SIZE)
-    uv, lod, covered = _pixels(rng)
-    e = _places(p)
-    footprint = _footprint_ref(uv, lod, covered, across=e.width, wrap=("repeat", "clamp"), **_SIZE)
-    ordered = _merge_ref(_keys_ref(footprint, e.width, 60), np.array([[[64]]]))
-    bins = _bins_ref(ordered, e)
-    return _rows_ref(bins, **_SIZE), bins, ordered, footprint, lod
+def _meet_infer(name, inputs, attrs):
+    if {x.vtype for x in inputs[4:6]} != {"ivec4"} or len({(x.vtype, x.extent) for x in inputs[:4]}) != 1:
+        raise GraphError(f"{name}: four sums of one type and ivec4 runs are needed, got {', '.join(map(repr, inputs))}")
+    return inputs[0].vtype, inputs[4].extent
 
 
-op("mip_rows", "bins", attrs="width height", infer=lambda name, inputs, attrs: ("ivec2", inputs[0].extent), reads="texel", cost=120,
-   ref=_rows_ref, glsl=_rows_glsl, sample=lambda rng: ([_chain(rng)[1]], dict(_SIZE)),
-   doc="Begin and end of the entries of each texel of all levels in the list of four entries a read.")
+def _meet_glsl(node: Node) -> str:
+    """Mostly a cell has one run; others go on in loops, of which most groups of texels have no turn."""
+    sums = tuple(zip(("s00", "s10", "s01", "s11"), "xyzw"))
+    lines = ["ivec4 f_ = {firsts}, b_ = max(f_, ivec4(0)) >> 1; {y} = {type}(0);"]
+    lines += [f"{{type}} {s}_ = {{{s}_at}}(b_.{c}); if (f_.{c} >= 0) {{y}} += {s}_;" for s, c in sums]
+    lines += ["b_ = mix(ivec4(2147483647), b_ + 1, equal(f_ & 1, ivec4(1))); b_ = mix(b_, ivec4(2147483647), lessThan(f_, ivec4(0)));",
+              "for (int j_ = min(min(b_.x, b_.y), min(b_.z, b_.w)) < 2147483647 ? 0 : 1; j_ < 1; ++j_) { ivec4 e_ = {ends_at}({i});"]
+    lines += [f"for (int k_ = b_.{c}; k_ < e_.{c}; ++k_) {{y}} += {{{s}_at}}(k_);" for s, c in sums]
+    return "{ " + "\n    ".join(lines) + " }\n    {y} *= {share}; }"
 
 
-def _list_ref(rows, bins, ordered, footprint, lod, width, height):
-    p = Pyramid(width, height)
-    e = table(8 * lod.size)
-    out = np.zeros((e.width * e.height, 2))
-    reads, f, t = ordered[..., 1].ravel(), footprint.reshape(-1, 4)[:, 2:], split_lod(lod, p.last)[1].ravel()
-    flat = bins.reshape(-1, 2)
-    for number, (k, _) in enumerate(rows.reshape(-1, 2)[:p.starts[-1]]):
-        level, x, y = (int(v) for v in p.find(np.array(number)))
-        w, h = p.size(level)
-        for corner in range(4):
-            i, j = corner & 1, corner >> 1
-            r = reads[slice(*flat[p.starts[level] + (y - j) % h * w + (x - i) % w])]
-            weight = (f[r, 0] if i else 1 - f[r, 0]) * (f[r, 1] if j else 1 - f[r, 1]) * np.where(r & 1, t[r >> 1], 1 - t[r >> 1])
-            out[k:k + len(r)] = np.stack([r >> 1, weight], 1)
-            k += len(r)
-    return out.reshape(e.height, e.width, 2)
+op("mip_meet", "s00 s10 s01 s11 firsts ends share", attrs="", sums=(0, 1, 2, 3), reads="texel texel texel texel own texel own", cost=60,
+   ref=_meet_ref, infer=_meet_infer, glsl=_meet_glsl, sample=lambda rng: (_meet_sample(rng), {}),
+   doc="Of each texel of a list the sums of one corner of each of the four cells around it, times its share.")
 
 
-def _list_glsl(node: Node) -> str:
-    last = Pyramid(node.attrs["width"], node.attrs["height"]).last
-    return "{ int low_ = 0, high_ = {rows_w} * {rows_h};\n" + """
-    while (low_ < high_) { int n_ = (low_ + high_) >> 1; if ({rows_at}(n_).x <= {i}) low_ = n_ + 1; else high_ = n_; }
-    ivec2 r_ = {rows_at}(low_ - 1);
-    {y} = vec2(0.0);
-    if ({i} < r_.y) { int q_ = low_ - 1; """ + found(node) + f"""
-        int j_ = {{i}} - r_.x, corner_ = 0;
-        ivec2 b_ = {{bins_at}}(q_);
-        while (j_ >= b_.y - b_.x && corner_ < 3) {{
-            j_ -= b_.y - b_.x;
-            ++corner_;
-            b_ = {{bins_at}}(o_[m_] + (corner_ < 2 ? a_.y : a_.y == 0 ? z_.y - 1 : a_.y - 1) * z_.x
-                           + ((corner_ & 1) == 0 ? a_.x : a_.x == 0 ? z_.x - 1 : a_.x - 1));
-        }}
-        int k_ = {{ordered_at}}(b_.x + j_).y;
-        vec2 f_ = {{footprint_at}}(k_).zw;
-        float d_ = clamp({{lod_at}}(k_ >> 1), 0.0, {float(last)}), t_ = d_ - min(floor(d_), {float(last - 1)});
-        {{y}} = vec2(k_ >> 1, ((corner_ & 1) == 0 ? 1.0 - f_.x : f_.x) * (corner_ < 2 ? 1.0 - f_.y : f_.y)
-                              * ((k_ & 1) == 0 ? 1.0 - t_ : t_));
-    }} }}"""
+def _meet_sample(rng):
+    c = Chain(rng)
+    firsts, ends = (around_ref(c.cells, c.texels, ends=ends, **SIZE) for ends in (0, 1))
+    return [*(rng.normal(size=(*c.spans.shape[:2], 3)) for _ in range(4)), firsts, ends, share_ref(c.texels, **SIZE)]
 
 
-def _list_infer(name, inputs, attrs):
-    rows, bins, ordered, footprint, lod = inputs
-    if rows.extent != bins.extent or footprint.extent != table(2 * lod.extent.width * lod.extent.height):
-        raise GraphError(f"{name}: rows {rows!r} and bins {bins!r} of one extent, and two reads a pixel of {lod!r} are needed, got "
-                         f"{footprint!r}")
-    return "vec2", table(8 * lod.extent.width * lod.extent.height)
+op("mip_taken", "each index", attrs="", when=negative(1), reads="texel own", cost=8, ref=lookup_ref, infer=lookup_infer,
+   loop=Loop("for (int k_ = {index}; k_ >= 0; k_ = -1) {", "{y} += {each_at}(k_);"),
+   sample=lambda rng: ([rng.normal(size=(4, 4, 3)), rng.integers(-1, 16, (5, 3, 1))], {}),
+   doc="lookup, where most of the indices are negative: whole groups of texels then do nothing.")
 
 
-op("mip_list", "rows bins ordered footprint lod", alone=True, attrs="width height", reads="texel texel texel texel texel", cost=300,
-   ref=_list_ref, infer=_list_infer, glsl=_list_glsl, sample=lambda rng: (list(_chain(rng)), dict(_SIZE)),
-   doc="(pixel, weight) of each texel's reads, texel by texel of all levels: own bin, left, above, above to the left.")
+def _fold_ref(each, slots, width, height, level):
+    p, flat, out = Pyramid(width, height), each.reshape(-1, each.shape[2]), 0
+    w, h = p.size(level)
+    for m in range(level, p.last + 1):
+        own = lookup_ref(flat[None], p.texels(slots.reshape(-1, 1), m))
+        out = out + own.repeat(1 << m - level, 0).repeat(1 << m - level, 1)[:h, :w]
+    return out
+
+
+def _fold_glsl(node: Node) -> str:
+    p, level = Pyramid(node.attrs["width"], node.attrs["height"]), node.attrs["level"]
+    return f"""{{ {p.glsl} {{y}} = {{type}}(0);
+    for (int m_ = {level}; m_ <= {p.last}; ++m_) {{ ivec2 a_ = {{p}} >> (m_ - {level});
+    int q_ = o_[m_] + a_.y * (({p.width} + (1 << m_) - 1) >> m_) + a_.x;
+    for (int k_ = {{slots_at}}(q_); k_ >= 0; k_ = -1) {{y}} += {{each_at}}(k_); }} }}"""
+
+
+def _fold_infer(name, inputs, attrs):
+    p = Pyramid(attrs["width"], attrs["height"])
+    if inputs[1].vtype != "int" or inputs[1].extent != numbered(p):
+        raise GraphError(f"{name}: a place for each texel of {p.width}x{p.height} and its levels is needed, got {inputs[1]!r}")
+    return inputs[0].vtype, image(*p.size(attrs["level"]))
+
+
+op("mip_fold", "each slots", attrs="width height level", reads="texel texel", cost=60, ref=_fold_ref, infer=_fold_infer, glsl=_fold_glsl,
+   sample=lambda rng: ((lambda c: [rng.normal(size=(c.texels.shape[0], c.texels.shape[1], 3)), c.slots])(Chain(rng)), {**SIZE, "level": 2}),
+   doc="What a level's texels get, with all that coarser texels hand down to them; slots: where each texel of all levels stands in a list.")
 
 
 def _excerpt_ref(x, first, extent):

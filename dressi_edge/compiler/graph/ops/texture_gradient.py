@@ -14,7 +14,7 @@ import numpy as np
 from ....cache.errors import GraphError
 from ..ir import Extent, Node, image, is_int, table
 from ..optable import Listed, Loop, apply, common_extent, empty, flag, op
-from .compact import compact
+from .compact import Compact, compact
 from .lookup import constant
 from .texture import FETCHES, FOOTPRINT, TEXELS, WRAPS, _infer, _sample_ref, footprint
 
@@ -29,18 +29,18 @@ def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> No
     footprint = apply("texture_footprint", uv, covered, width=extent.width, height=extent.height, wrap=wrap)
     if footprint.extent.count >= MANY and covered.extent == footprint.extent:
         listed = compact(apply("not_equal", covered, 0), 1)
-        ordered = _merged(apply("listed_keys", footprint, listed.entries, listed.total, width=extent.width), listed.total)
+        ordered = sorted_list(footprint, extent.width, listed)
         bins = apply("listed_bins", ordered, listed.total, extent=extent)
     else:
-        ordered = sorted_keys(footprint, extent.width, footprint.extent.count)
+        ordered = _merged(apply("texture_keys", footprint, width=extent.width, count=footprint.extent.count))
         bins = apply("texture_bins", ordered, extent=extent)
     rows = apply("texture_rows", bins)
-    return gathered(g, rows, apply("texture_list", rows, bins, ordered, footprint), 4 * footprint.extent.count)
+    return _gathered(g, rows, apply("texture_list", rows, bins, ordered, footprint), 4 * footprint.extent.count)
 
 
-def sorted_keys(footprint: Node, width: int, count: int) -> Node:
-    """(texel, read) of the first `count` footprints, sorted by texel: the number of a lower corner in an image of this width."""
-    return _merged(apply("texture_keys", footprint, width=width, count=count))
+def sorted_list(footprint: Node, width: int, listed: Compact) -> Node:
+    """(texel, read) of the footprints of a list, sorted by texel: the number of a lower corner in an image of this width."""
+    return _merged(apply("listed_keys", footprint, listed.entries, listed.total, width=width), listed.total)
 
 
 def _merged(ordered: Node, total: Node | None = None) -> Node:
@@ -53,7 +53,7 @@ def _merged(ordered: Node, total: Node | None = None) -> Node:
     return ordered
 
 
-def gathered(g: Node, rows: Node, entries: Node, count: int) -> Node:
+def _gathered(g: Node, rows: Node, entries: Node, count: int) -> Node:
     """For each texel of `rows` the sum of weight x g over its entries, of `count` in all."""
     across, down = _split(rows.extent, count)
     if across == 1:
@@ -389,8 +389,8 @@ def _lanes_ref(g, rows, entries, across, down):
 
 def _gather_infer(name, inputs, attrs):
     g, rows, entries = inputs
-    if _size(entries.extent) not in [_size(table(n * g.extent.width * g.extent.height)) for n in (4, 8)]:
-        raise GraphError(f"{name}: {entries!r} are not four or eight entries for each texel of {g!r}")
+    if _size(entries.extent) != _size(table(4 * g.extent.width * g.extent.height)):
+        raise GraphError(f"{name}: {entries!r} are not four entries for each texel of {g!r}")
     return g.vtype, rows.extent
 
 
