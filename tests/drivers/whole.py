@@ -22,6 +22,7 @@ from dressi_edge.cache import bundle
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile, misfit
 from dressi_edge.compiler import Program, compile_program
+from dressi_edge.compiler.graph.ir import Node
 from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.meshes import Mesh
 from dressi_edge.compiler.io.shapes import icosphere
@@ -31,6 +32,7 @@ from dressi_edge.compiler.render.light import Light
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
 from dressi_edge.compiler.render.raster import Softness, rasterized
 from dressi_edge.compiler.render.topology import Topology
+from dressi_edge.compiler.scene import PBR, Binned, Outline, Scene, Texture, Unlit, Vertex, l2, rigid
 from dressi_edge.compiler.scene.problem import Loss, Problem
 
 FOLDER = Path(__file__).parent / "whole"
@@ -80,6 +82,43 @@ def lambert() -> Problem:
     return made
 
 
+def _scene(**look) -> tuple[Scene, Node]:
+    """Two views of what is to be added, and the pictures that they are compared with."""
+    made = Scene(orbit(VIEWS, (20.0, -20.0), 2.5, 50.0, (SIZE, SIZE)), **look)
+    return made, made.input("photo", targets()[..., :3])
+
+
+def material() -> Scene:
+    """Reflectance under two lights on a sphere that stays: its roughness and a texture with mip levels are fitted."""
+    (made, photo), ball = _scene(), icosphere(1, 0.5)
+    image = made.parameter("texture", np.full((16, 24, 3), 0.5), 0.0, 1.0, kind="image")
+    made.add(ball, material=PBR(Texture(image, mips=True), made.parameter("roughness", 0.5, 0.1, 1.0), 0.2, lights=(
+        Light("directional", (1.6, 1.6, 1.6), (0.3, -0.5, -0.8)), LIGHTS[2])))
+    made.phase("fit", STEPS, {"texture": Adam(0.03), "roughness": Adam(0.01)}, color=l2(made.frame().color, photo))
+    return made
+
+
+def contours() -> Scene:
+    """A ball before another: its place and colours are moved by the contour between them."""
+    (made, photo), front, back = _scene(), icosphere(1, 0.25), icosphere(1, 0.55)
+    place = made.parameter("place", np.zeros(3))
+    made.add(front, rigid(front.positions + (0.1, 0.1, 0.5), np.zeros(3), place),
+             Unlit(Vertex(made.parameter("colors", np.full((42, 3), 0.7)))))
+    made.add(back, material=Unlit((0.2, 0.4, 0.3)))
+    made.phase("fit", STEPS, {"place": Adam(0.005), "colors": Adam(0.03)}, color=l2(made.frame(Outline(contours=True)).color, photo))
+    return made
+
+
+def binned() -> Scene:
+    """Every face near a pixel has a say; lists by tile are counted by workgroups where the profile has them."""
+    (made, photo), ball = _scene(background=(0.1, 0.2, 0.3)), icosphere(1, 0.5)
+    colors = made.parameter("colors", np.full((42, 3), 0.5))
+    made.add(ball, made.parameter("vertices", ball.positions), Unlit(Vertex(colors)))
+    made.phase("fit", STEPS, {"vertices": Adam(0.005), "colors": Adam(0.03)},
+               color=l2(made.frame(Binned(2.0, gamma=1e-2, over=True)).color, photo))
+    return made
+
+
 def behind() -> Program:
     """A triangle with a corner in the plane of the camera, by depth and by coverage: w is exactly 0, which some drivers do not draw."""
     made = Program()
@@ -91,10 +130,12 @@ def behind() -> Program:
     return made
 
 
-CASES = {f.__name__: f for f in (silhouettes, colors3, texture, lambert, behind)}
+CASES = {f.__name__: f for f in (silhouettes, colors3, texture, lambert, material, contours, binned, behind)}
+OPTIONS = {"binned": {"compute": "ops"}}  # as `Options` of the compiler
 # After steps. Adam, which makes a whole step of what is almost nothing, enlarges what rounding leaves. Silhouettes, lit by their outline
 # alone: on another grid of sub-pixels (SwiftShader's has 16 to a pixel, lavapipe's 256) other pixels are inside.
-TOLERANCE = {"silhouettes": 2e-2, "colors3": 5e-3, "texture": 5e-3, "lambert": 1e-2, "behind": 0}
+TOLERANCE = {"silhouettes": 2e-2, "colors3": 5e-3, "texture": 5e-3, "lambert": 1e-2, "material": 1e-2, "contours": 1e-2,
+             "binned": 1e-2, "behind": 0}
 
 
 def targets() -> np.ndarray:
@@ -109,14 +150,15 @@ def steps(name: str) -> list[tuple]:
     if name == "behind":
         return [("get", "depth"), ("get", "covered")]
     changed = {"silhouettes": ["vertices"], "colors3": ["vertices", "colors"], "texture": ["texture"],
-               "lambert": ["vertices", "colors", "light0.vector", "rotation"]}[name]
+               "lambert": ["vertices", "colors", "light0.vector", "rotation"], "material": ["texture", "roughness"],
+               "contours": ["place", "colors"], "binned": ["vertices", "colors"]}[name]
     return [("get", "fit.loss"), ("step", "fit", STEPS), ("get", "fit.loss"), *(("get", x) for x in changed)]
 
 
 def write(name: str, profile: Profile | str, folder: Path) -> None:
     """NAME.dressi and NAME.json in that folder."""
     made = CASES[name]()
-    compile_program(getattr(made, "program", made), profile, folder / f"{name}.dressi")
+    compile_program(getattr(made, "program", made), profile, folder / f"{name}.dressi", **OPTIONS.get(name, {}))
     if (FOLDER / f"{name}.json").exists():
         shutil.copy(FOLDER / f"{name}.json", folder)
 
