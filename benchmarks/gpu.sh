@@ -2,7 +2,7 @@
 # A real GPU, on a machine without network: benchmarks/gpu.py.
 #
 #   benchmarks/gpu.sh prepare FOLDER [--quick]    here: bundles, wheels, Vulkan loader and validation layer, all in FOLDER
-#   FOLDER/gpu.sh run OUT.json [--validation ..]  there: needs a GPU's driver, Python 3.10 or later, and dpkg-deb if it has no loader
+#   FOLDER/gpu.sh run OUT.json [--validation ..]  there, the tables at the end: needs a GPU's driver, Python 3.10 or later, and dpkg-deb if it has no loader
 set -euo pipefail
 here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
 python="${PYTHON:-python3}"
@@ -34,7 +34,10 @@ elif [ "$kind" = run ]; then
         export VK_LAYER_PATH="$here/loader/usr/share/vulkan/explicit_layer.d"
         export LD_LIBRARY_PATH="${LD_LIBRARY_PATH:+$LD_LIBRARY_PATH:}$libraries"
     fi
-    "$python" "$here/gpu.py" run "$@"
+    status=0
+    "$python" "$here/gpu.py" run "$@" || status=$?
+    "$python" "$here/gpu.py" tables "$1"
+    exit "$status"
 else
     echo "gpu.sh: $kind is neither prepare nor run" >&2
     exit 2

@@ -242,7 +242,11 @@ def test_what_a_real_gpu_is_measured_with_runs_from_the_folder_alone(tmp_path):
     told = json.loads(out.read_text())
     assert told["messages"] == [] == told["left_out"] and "failed" not in told
     assert told["vectors"] and all(r["error"] is None and r["deviation"] <= 1 for r in told["vectors"])
-    assert len(told["bundles"]) == 3 and all(b["losses"][1] < b["losses"][0] and b["ms"] > 0 for b in told["bundles"].values())
+    assert {b["variant"] for b in told["bundles"].values()} == {"navi21", "limit8", "vulkan_min"} and len(told["bundles"]) == 3 + 2 * 3 + 2
+    assert all(b["losses"][1] < b["losses"][0] and b["ms"] > 0 for b in told["bundles"].values())
+    assert all(max(b["error"].values()) == 0 for b in told["bundles"].values())  # dispatched, too: the same device has the same bits
+    shown = subprocess.run([sys.executable, folder / "gpu.py", "tables", out], capture_output=True, text=True, env=environment).stdout
+    assert f"Vectors: {len(told['vectors'])} of {len(told['vectors'])} to the bit" in shown and "| texture 64 at 64 |" in shown
     assert told["profile"]["capabilities"]["captured"]
 
 

@@ -74,11 +74,11 @@ def text(results: dict[str, dict]) -> str:
     for name, r in results.items():
         if any(x["registers"] for x in r["own"].values()):
             lines.append(f"| {name} | " + " | ".join(_cell(r["own"].get(p), r["against"].get(p)) for p in PROBLEMS) + " |")
-    lines += ["", "kB of the images, their texels alone and as the device takes them, small images as these problems are:", "",
-              "| driver | " + " | ".join(PROBLEMS) + " |", "|---|" + "---:|" * len(PROBLEMS)]
+    lines += ["", f"kB of the images, small as these problems are: their texels, what the device takes compiled for {AGAINST}, and for its",
+              "own profile:", "",
+              "| driver | " + " | ".join(PROBLEMS) + " |", "|---|" + "---|" * len(PROBLEMS)]
     for name, r in results.items():
-        bytes = [r["own"].get(p, {}).get("bytes", (0, 0)) for p in PROBLEMS]
-        lines.append(f"| {name} | " + " | ".join(f"{raw / 1e3:.0f} -> {taken / 1e3:.0f}" for raw, taken in bytes) + " |")
+        lines.append(f"| {name} | " + " | ".join(_bytes(r["own"].get(p), r["against"].get(p)) for p in PROBLEMS) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -89,6 +89,13 @@ def _cell(own: dict | None, other: dict | None) -> str:
     ratio = f", {own[what] / other[what]:.2f}" if other and other.get(what) else ""
     before = "" if not other or other["spills"] is None else f" ({other['spills']:g})"
     return f"{own['spills'] or 0:g}{before}, {own['registers']:g}, {own['waves'] or 0:g}{ratio}"
+
+
+def _bytes(own: dict | None, other: dict | None) -> str:
+    if not own or not own["bytes"][1]:
+        return "-"
+    before = f", {other['bytes'][1] / 1e3:.0f}" if other and other["bytes"][1] else ""
+    return f"{own['bytes'][0] / 1e3:.0f}{before}, {own['bytes'][1] / 1e3:.0f}"
 
 
 def keep(results: dict[str, dict]) -> None:
