@@ -25,6 +25,8 @@ from dressi_edge import runtime  # noqa: E402
 from dressi_edge.compiler.graph.reference_session import ReferenceSession  # noqa: E402
 from dressi_edge.compiler.scene import Scene  # noqa: E402
 
+SLOW = {"antialiasing", "forward", "hidden"}  # minutes in NumPy: large pictures, or many faces a pixel; run where named
+
 
 def numbers(found, name: str = "") -> Iterator[tuple[str, float]]:
     """(where, number) of a nest of mappings and sequences."""
@@ -59,7 +61,7 @@ def main() -> None:
     arguments.add_argument("--json", metavar="FILE")
     options, rows = arguments.parse_args(), {}
     for path in PROGRAMS:
-        if options.names and path.stem not in options.names:
+        if path.stem not in (options.names or SMALL.keys() - SLOW):
             continue
         with tempfile.TemporaryDirectory() as folder:
             def run(path=path, folder=folder):

@@ -2,8 +2,9 @@
 
     python benchmarks/parts.py [--size PIXELS] [--turns N]
 
-A ball of 1280 faces in six views, its vertices (and colours) optimized by Adam, profile lavapipe. Milliseconds of processor time a step,
-medians of turns in which the cases alternate; ratios within a turn.
+A ball of 1280 faces, cut in two for two parts (which then are open: both sides of their faces are drawn, and the cut has edges), and two
+balls of 320 faces as one mesh or two parts; in six views, vertices (and colours) optimized by Adam, profile lavapipe. Milliseconds of
+processor time a step, medians of turns in which the cases alternate; ratios within a turn.
 """
 from __future__ import annotations
 
@@ -25,6 +26,17 @@ def halves() -> list[Mesh]:
     left = BALL.positions[BALL.faces].mean(1)[:, 0] > 0
     pieces = [np.unique(faces, return_inverse=True) for faces in (BALL.faces[left], BALL.faces[~left])]
     return [Mesh(BALL.positions[used], index.reshape(-1, 3)) for used, index in pieces]
+
+
+def balls() -> list[Mesh]:
+    """Two closed pieces."""
+    return [Mesh(icosphere(2, 0.45).positions + (x, 0.0, 0.0), icosphere(2, 0.45).faces) for x in (-0.45, 0.45)]
+
+
+def joined(meshes: list[Mesh]) -> list[Mesh]:
+    """The same as one mesh."""
+    first = np.cumsum([0, *(len(m.positions) for m in meshes)])
+    return [Mesh(np.concatenate([m.positions for m in meshes]), np.concatenate([m.faces + k for m, k in zip(meshes, first)]))]
 
 
 def scene(meshes: list[Mesh], colors: bool, contours: bool, size: int) -> Scene:
@@ -57,7 +69,9 @@ def main() -> None:
     arguments.add_argument("--size", type=int, default=256)
     arguments.add_argument("--turns", type=int, default=9)
     options = arguments.parse_args()
-    cases = {"silhouettes, one part": ([BALL], False, False), "silhouettes, two parts": (halves(), False, False),
+    cases = {"closed silhouettes, one part": (joined(balls()), False, False), "closed silhouettes, two parts": (balls(), False, False),
+             "closed colours, one part": (joined(balls()), True, False), "closed colours, two parts": (balls(), True, False),
+             "silhouettes, one part": ([BALL], False, False), "silhouettes, two parts": (halves(), False, False),
              "colours, one part": ([BALL], True, False), "colours, two parts": (halves(), True, False),
              "colours, contours": ([BALL], True, True)}
     with tempfile.TemporaryDirectory() as folder:
@@ -73,10 +87,10 @@ def main() -> None:
                 session.step(4)
                 session.loss()
                 times[name].append((spent() - start) / 4 * 1e3)
-        print(f"{'case':24} {'cpu ms':>8} {'ratio':>6} {'stages':>6}")
+        print(f"{'case':30} {'cpu ms':>8} {'ratio':>6} {'stages':>6}")
         for name, session in sessions.items():
             first = times[name.split(",")[0] + ", one part"]
-            print(f"{name:24} {np.median(times[name]):8.1f} {np.median(np.divide(times[name], first)):6.2f} "
+            print(f"{name:30} {np.median(times[name]):8.1f} {np.median(np.divide(times[name], first)):6.2f} "
                   f"{len(session.plans['fit']['stages']):6}")
             session.close()
 

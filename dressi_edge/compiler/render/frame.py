@@ -27,16 +27,18 @@ from .surface import Surface
 class Frame:
     """views: those that are drawn; atlas: their cells. all_views: the cells of all views of the scene, chosen: which of them this frame
     draws (an int of extent 1x1), None for all. sizes: (views of the scene, 2), width and height of each picture, where some are smaller
-    than their cells. encode: from linear radiance to the colours of the picture. step: of the phase, an int.
+    than their cells. encode: from linear radiance to the colours of the picture. gain: factors of the colours of all views, a table of
+    vec3, as pictures have them that were not exposed alike; the background is not multiplied. step: of the phase, an int.
     who: of part number k, words for errors of its material."""
 
     def __init__(self, parts: Parts, views: ViewTable, atlas: Atlas, renderer: Renderer, background: Node, *,
                  all_views: Atlas | None = None, chosen: Node | None = None, sizes: np.ndarray | None = None,
-                 encode: Callable[[Node], Node] | None = None, step: Node | None = None,
+                 encode: Callable[[Node], Node] | None = None, gain: Node | None = None, step: Node | None = None,
                  who: Callable[[int], str] = lambda k: f"the material of part {k}"):
         self.parts, self.views, self.atlas, self.renderer, self.background = parts, views, atlas, renderer, background
         self.all_views, self.chosen, self.encode, self.step, self._who = all_views or atlas, chosen, encode, step, who
         self._sizes = sizes
+        self._gain = gain if gain is None or chosen is None else lookup(gain, chosen)
         self._weights: dict[tuple[int, int, int], list[Node]] = {}
         self._surfaces: dict[tuple[int, int], Surface] = {}
         self._runs: dict[tuple[int, bool], list[tuple[int, Surface]]] = {}
@@ -109,7 +111,8 @@ class Frame:
         """vec3: the parts as their materials say, over the background."""
         def shade(s: Surface, part: int) -> Node:
             color = shaded(s.part.material, s, self._who(part))
-            return self.encode(color) if self.encode else color
+            color = self.encode(color) if self.encode else color
+            return color if self._gain is None else color * s.of_view(self._gain)
 
         return self._composed(shade, True, self.background)
 

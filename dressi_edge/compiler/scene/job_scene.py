@@ -60,6 +60,7 @@ from .sections import (
 )
 from .tables import Table
 from .targets import Carried, Targets, at_once, targets_of, windowed
+from .values import GAINS, gains
 
 KINDS = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong, "pbr": PBR}
 POSES = ("rotation", "translation", "scale")
@@ -178,6 +179,8 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
     for p, mesh in zip(parts, meshes):
         p.table.checked(builder.part, p, mesh)
     middle = builder.cameras(meshes)
+    if "gain" in optimized:
+        scene.gain = gains(scene.parameter("gain", np.ones((len(views.cameras), 3)), *GAINS, kind="table"))
     for phase in phases:
         for key in phase.optimize:
             if key not in scene.parameters:
@@ -198,7 +201,7 @@ def _placed(p: PartTable, mesh: Mesh) -> Mesh:
 def _known(scene: Scene, parts: Sequence[PartTable]) -> list[str]:
     """The names of all that may be optimized."""
     of_parts = [f"{p.name}.{key}" for p in parts for key in ("vertices", *POSES, *(k for k in MATERIALS[p.kind] if k != "color"))]
-    of_picture = ["exposure"] if isinstance(scene.encode, Tone) else []
+    of_picture = ["gain", *(["exposure"] if isinstance(scene.encode, Tone) else [])]
     return sorted({*scene.parameters, *of_parts, *of_picture, "camera.rotation", "camera.translation"})
 
 

@@ -36,6 +36,7 @@ from . import sense
 from .limits import fits, profiles_of
 from .scene import ORDERS, Scene
 from .targets import targets_of, windowed
+from .values import GAINS, gains
 
 SHADINGS = ("unlit", "lambert")
 ALBEDOS = ("texture", "colors", "constant")
@@ -177,6 +178,8 @@ class Problem:
         `Binned(over=True)`."""
         s = self.scene
         with s.undone_by_errors():
+            if "gain" in optimize and s.gain is None:
+                s.gain = gains(s.parameter("gain", np.ones((len(self.cameras), 3)), *GAINS, kind="table"))
             s.check_phase(name, steps, optimize, losses)
             if self.normals == "file" and self.shading == "lambert" and "vertices" in optimize:
                 raise InputError(f"phase {name} optimizes vertices, and normals are \"file\", which do not follow them; use flat or smooth")

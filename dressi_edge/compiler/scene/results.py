@@ -246,13 +246,16 @@ def _changed(session) -> set[str]:
 
 
 def _found(session) -> dict:
-    """Cameras, lights and single values of parts, where they were optimized."""
+    """Cameras, gains of views, lights and single values of parts, where they were optimized."""
     changed, out, scale = _changed(session), {}, scale_in(meta_of(session))
     lights = {name: (np.asarray(session.get(name)) * scale_in(meta_of(session), name) + _origin(session, name)).tolist() for name in
               sorted(changed)
               if name.startswith("light") and name.count(".") == 1}
     if lights:
         out["lights"] = lights
+    if "gain" in changed:
+        gain = np.asarray(session.get("gain"), np.float64)
+        out["gains"] = dict(zip(meta_of(session)["images"], (gain / gain.mean(0)).tolist()))
     values = {name: (np.asarray(session.get(name)) * (scale if name.endswith(".translation") else 1.0)).tolist() for name in
               sorted(changed)
               if not name.startswith(("light", "camera.")) and name.count(".") == 1 and session.values[name]["layout"] == "unit"

@@ -72,6 +72,7 @@ class Scene:
         self._frames: list[Frame] = []
         self._steps: dict[str, Node] = {}
         self.background = self._background(background)
+        self.gain: Node | None = None  # factors of the colours of each view, a table of vec3
         self.surroundings: Environment | None = None  # shown behind all parts in place of the background, through `encode`
 
     # ---- values
@@ -224,7 +225,7 @@ class Scene:
         views, atlas = (self.views, self.atlas) if chosen is None else (self.views.choose(chosen), Atlas(self.width, self.height, 1, 1))
         parts = self.parts
         frame = Frame(Parts(tuple(parts)), views, atlas, renderer or Outline(), self.background, all_views=self.atlas, chosen=chosen,
-                      sizes=self._sizes, encode=self.encode, step=step,
+                      sizes=self._sizes, encode=self.encode, gain=self.gain, step=step,
                       who=lambda k: f"part {parts[k].name}: its material {place(parts[k].material)}")
         if self.surroundings is None:
             frame.background = frame.at(frame.background)
@@ -356,11 +357,12 @@ class Scene:
         p = self.program
         before = dict(p.values), dict(p.roles), list(p.plans), dict(p.meta), dict(p.turned)
         steps, frames, phases = dict(self._steps), list(self._frames), list(self.phases)
+        parameters, gain = dict(self.parameters), self.gain
         try:
             yield
         except DressiError:
             p.values, p.roles, p.plans, p.meta, p.turned = before
-            self._steps, self._frames, self.phases = steps, frames, phases
+            self._steps, self._frames, self.phases, self.parameters, self.gain = steps, frames, phases, parameters, gain
             raise
 
     def compile(self, profile: Profile | str | Sequence[Profile | str], path: str | os.PathLike, record: bool = True, **options) -> dict:

@@ -9,10 +9,13 @@ import numpy as np
 from ...cache.errors import InputError
 from ...cache.layout import beyond_fp32
 from ..graph.ir import Node
+from ..graph.ops.reduce import mean
 from ..graph.program import Program
 from ..graph.reference import evaluate
 from ..io.mesh import middle_of
 from ..render.part import Part
+
+GAINS = (0.1, 10.0)  # limits of a view's gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,11 @@ def narrowed(parameter: Parameter, name: str, start: np.ndarray, low: float | No
         if limit is not None and (x < limit if side == "below" else x > limit):
             raise InputError(f"limits of {name}: it starts at {x:g}, which is {side} {limit:g}; start it within its limits, or widen them")
     return replace(parameter, low=low, high=high)
+
+
+def gains(values: Node) -> Node:
+    """A table of (views, 3) over its mean, so that what all views share is the materials'."""
+    return values / mean(values)
 
 
 def numbers(who: str, value, integer: bool = False) -> np.ndarray:
