@@ -22,11 +22,13 @@ from . import (
     reduce,
     scan,
     soft,
+    soft_mask,
     soft_pair,
     stencil,
     tables,
     texture,
     texture_gradient,
+    tiles,
     transcendental,
     vector,
 )

@@ -12,7 +12,8 @@ from ....cache.errors import GraphError
 from ..optable import Loop, apply, common_extent, op
 from . import soft_reference as reference
 from .lookup import constant
-from .soft import ADD_WEIGHTS, BY_DISTANCE, FUNCTIONS, GEOMETRY, LISTED, NEXT, PAIR, TILE, WEIGHTS, over_pixels, sample_of
+from .soft import LISTED, PAIR, over_pixels, sample_of
+from .soft_glsl import ADD_WEIGHTS, BY_DISTANCE, FUNCTIONS, GEOMETRY, NEXT, TILE, WEIGHTS
 
 LOWEST = 1e-38  # probability of which the logarithm is taken
 
@@ -29,12 +30,12 @@ best_ = vec4(over_.x ? score_ : best_.x, over_.x ? best_.x : over_.y ? score_ : 
 
 
 def _heaviest_infer(name, inputs, attrs):
-    if inputs[6].vtype != "ivec4":
-        raise GraphError(f"{name}: what to skip is {inputs[6]!r}; an ivec4 is needed")
+    if inputs[8].vtype != "ivec4":
+        raise GraphError(f"{name}: what to skip is {inputs[8]!r}; an ivec4 is needed")
     return over_pixels("ivec4", 4)(name, inputs, attrs)
 
 
-def _heaviest_ref(v0, v1, v2, boxes, ranges, faces, skip, extent, gamma, **attrs):
+def _heaviest_ref(v0, v1, v2, boxes, ranges, faces, masks, spilled, skip, extent, gamma, **attrs):
     p = reference.near_pairs(v0, v1, v2, boxes, **attrs)
     skip = np.broadcast_to(skip, (extent.height, extent.width, 4))[p.ys, p.xs]
     score = np.where((skip == p.face[:, None] + 1).any(1), -np.inf, p.depth / gamma + np.log(np.maximum(p.probability, LOWEST)))
@@ -52,8 +53,8 @@ def _heaviest_sample(rng):
     return [*arguments, np.array([[[3, 9, 0, 0]]])], {**attrs, "gamma": 0.05}
 
 
-op("soft_heaviest", "v0 v1 v2 boxes ranges faces skip", attrs=f"{LISTED} {PAIR} gamma", infer=_heaviest_infer,
-   reads="texel " * 6 + "own", ref=_heaviest_ref, functions=FUNCTIONS, cost=3000, sample=_heaviest_sample,
+op("soft_heaviest", "v0 v1 v2 boxes ranges faces masks spilled skip", attrs=f"{LISTED} {PAIR} gamma", infer=_heaviest_infer,
+   reads="texel " * 8 + "own", ref=_heaviest_ref, functions=FUNCTIONS, cost=3000, sample=_heaviest_sample,
    loop=Loop(_HEAVIEST, "{y} = ivec4(over_.x ? own_ : {y}.x, over_.x ? {y}.x : over_.y ? own_ : {y}.y, "
                         "over_.y ? {y}.y : over_.z ? own_ : {y}.z, over_.z ? {y}.z : over_.w ? own_ : {y}.w);", "} }"),
    doc="The four faces of the pixel's list with the largest D exp(depth / gamma), largest first, of equal ones the lowest; each plus 1, "

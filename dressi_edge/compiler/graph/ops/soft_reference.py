@@ -55,7 +55,10 @@ def clipped(va, vb):
     return np.where(fa[..., None], va[..., :2], cut), np.where(fb[..., None], vb[..., :2], cut), fa | fb
 
 
-def soft_boxes(v0, v1, v2, reach, face_count, cell_w, cell_h, columns):
+SMALL = 4  # pixels across and down of the boxes whose pixels are looked at
+
+
+def soft_boxes(v0, v1, v2, reach, tight, face_count, cell_w, cell_h, columns):
     """The pixels whose centres are near each face; empty where it is wholly behind."""
     v = np.stack([x.reshape(-1, 4) for x in (v0, v1, v2)], 1)
     lo, hi = np.full((len(v), 2), 1e9), np.full((len(v), 2), -1e9)
@@ -68,8 +71,26 @@ def soft_boxes(v0, v1, v2, reach, face_count, cell_w, cell_h, columns):
     corner = np.stack([view % columns * cell_w, view // columns * cell_h], 1)
     first = np.clip(lo + cell / 2 - (reach - 0.5), 0, cell).astype(int)
     last = np.clip(hi + cell / 2 + (reach + 0.5), 0, cell).astype(int)
+    if tight:
+        _tighten(v, first, last, cell, reach)
     there = (lo[:, :1] <= hi[:, :1]) & (first < last).all(1, keepdims=True)
     return np.where(there, np.concatenate([first + corner, last + corner], 1), 0).reshape(*v0.shape[:2], 4)
+
+
+def _tighten(v, first, last, cell, reach) -> None:
+    """Shrinks small boxes, in place, to the pixels that are nowhere more than `reach` on the outer side of an edge."""
+    small = np.flatnonzero(_front(v[..., 2]).all(1) & (last > first).all(1) & (last - first <= SMALL).all(1))
+    v, low, high = v[small, :, :2], last[small].copy(), first[small].copy()
+    e = np.roll(v, -1, 1) - v
+    facing = np.where(_cross(e[:, 0], e[:, 1]) < 0, -1.0, 1.0)[:, None]
+    for y in range(SMALL):
+        for x in range(SMALL):
+            p = first[small] + (x, y)
+            q = p + 0.5 - cell / 2
+            side = facing * _cross(e, q[:, None] - v) + reach * np.linalg.norm(e, axis=-1)
+            inside = ((side >= 0).all(1) & (p < last[small]).all(1))[:, None]
+            low, high = np.where(inside, np.minimum(low, p), low), np.where(inside, np.maximum(high, p + 1), high)
+    first[small], last[small] = low, high
 
 
 def _distance(a, b):
@@ -146,7 +167,7 @@ def _pairs(face, ys, xs, v, q, radius, sigma, squared, hard_only, nearest) -> tu
     return Pairs(*parts), near
 
 
-def soft_alpha(v0, v1, v2, boxes, ranges, faces, extent, **attrs):
+def soft_alpha(v0, v1, v2, boxes, ranges, faces, masks, spilled, extent, **attrs):
     """1 - prod(1 - D)."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
     clear = np.ones((extent.height, extent.width))
@@ -164,7 +185,7 @@ def _colors(p: Pairs, *tables):
     return np.stack([c.reshape(-1, 3)[p.face] for c in tables], 1)
 
 
-def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, extent, gamma, base, **attrs):
+def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, gamma, base, **attrs):
     """Sums of weighted colours and of weights."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
     _, w = _weights(p, extent, gamma, base)
@@ -174,7 +195,7 @@ def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, extent, gamma, base,
     return out
 
 
-def soft_most(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, extent, gamma, base, **attrs):
+def soft_most(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, gamma, base, **attrs):
     """The largest depth (0 where there is no face), and alpha."""
     p = near_pairs(v0, v1, v2, boxes, **attrs)
     some = np.zeros((extent.height, extent.width), bool)

@@ -14,11 +14,12 @@ from .scan import exclusive_scan
 
 @dataclass(frozen=True)
 class Binned:
-    """Lists by tile: `faces` (over views), `ranges` (of each tile its first place in it and the one after its last). `pairs`: how many
-    entries the tiles have together, `spilled`: 1 where the list had no room for them and tiles have the faces of their bins or views;
-    both of extent 1x1."""
+    """Lists by tile: `faces` (over views), `tiles` (of each entry), `ranges` (of each tile its first place in it and the one after its
+    last). `pairs`: how many entries the tiles have together, `spilled`: 1 where the list had no room for them and tiles have the faces of
+    their bins or views; both of extent 1x1."""
 
     faces: Node
+    tiles: Node
     ranges: Node
     pairs: Node
     spilled: Node
@@ -29,37 +30,51 @@ def _total(words: Node, starts: Node) -> Node:
     return apply("lookup", starts, last) + apply("bit_count", apply("lookup", words, last))
 
 
-def capacities(grid: Grid, pairs: int | None) -> tuple[int, int]:
-    """Places in the lists of bins and of tiles: no more than there could be entries."""
+DEEP = 64  # entries of a tile for which there is room beside those of small faces
+
+
+def capacities(grid: Grid, pairs: int | None, reach: float) -> tuple[int, int]:
+    """Places in the lists of bins and of tiles: no more than there could be entries. Small faces, enlarged by `reach`, meet so many tiles
+    as a square of that size does, and twice that is what there is room for; large ones are few."""
+    def room(count: int, size: tuple[int, int], least: int) -> int:
+        small = 2.0 * (1 + 2 * reach / size[0]) * (1 + 2 * reach / size[1])
+        return min(grid.faces * count, max(int(small * grid.views * grid.faces) + DEEP * count, least))
+
     bins, tiles = (grid.views * a * b for a, b in (grid.bins, grid.tiles))
-    first = min(grid.faces * bins, max(2 * grid.views * grid.faces, 1 << 13))
-    second = max(16 * grid.views * grid.faces, 1 << 16) if pairs is None else pairs
-    return first, max(first, min(grid.faces * tiles, second))
+    first = room(bins, grid.bin, 1 << 13)
+    second = room(tiles, grid.tile, 1 << 16) if pairs is None else min(grid.faces * tiles, pairs)
+    return first, max(first, second)
 
 
-def bin_faces(boxes: Node, grid: Grid, pairs: int | None = None) -> Binned:
-    """Lists by tile of what has these boxes, an ivec4 table of views x faces. pairs: places in the list, 16 a face of each view, at least
-    65536, unless given, and no more than there could be."""
-    first, second = capacities(grid, pairs)
-    some = {key: grid.attrs[key] for key in ("views", "face_count", "bins_x", "bins_y")}
-    words = apply("bin_words", boxes, **grid.attrs)
+def bin_faces(boxes: Node, grid: Grid, pairs: int | None = None, reach: float = 0.0) -> Binned:
+    """Lists by tile of what has these boxes, an ivec4 table of views x faces. pairs: places in the list, no more than there could be;
+    unless given, by `capacities`: enough for faces that are small, but for being enlarged by `reach` pixels, and for 64 others a tile."""
+    first, second = capacities(grid, pairs, reach)
+    bins = {key: grid.attrs[key] for key in ("views", "bins_x", "bins_y")}
+    words = apply("bin_words", apply("bin_sides", boxes, **grid.attrs), words=grid.words, **bins)
     starts = exclusive_scan(apply("bit_count", words))
     total = _total(words, starts)
     spilled = total > first
-    faces = apply("bin_list", words, starts, spilled, total, slots=first, per_bin=grid.words, **some)
-    ranges = apply("bin_ranges", starts, spilled, total, words=grid.words, **some)
+    marks = apply("list_marks", starts, spilled, total, slots=first)
+    drawn = apply("select", spilled, grid.views * grid.faces, total)
+    faces = apply("bin_list", words, starts, spilled, total, marks, drawn, slots=first, per_bin=grid.words, face_count=grid.faces,
+                  partial=words.serial, **bins)
+    ranges = apply("bin_ranges", starts, spilled, total, words=grid.words, face_count=grid.faces, **bins)
     sizes = apply("shift_left", apply("shift_right", ranges.y - ranges.x + (WORD - 1), 5), 6)
     bases, room = exclusive_scan(sizes), 2 * first + SIDE * SIDE * sizes.extent.count
     last = constant_table(np.array([sizes.extent.count - 1]))
     needed = apply("lookup", bases, last) + apply("lookup", sizes, last)
-    words = apply("tile_words", apply("lookup", boxes, faces), ranges, bases, slots=room, **grid.attrs)
+    sides = apply("tile_sides", apply("lookup", boxes, faces), ranges, bases, needed, slots=room // 4, **grid.attrs)
+    words = apply("tile_words", sides, ranges, bases, needed, slots=room, **bins)
     starts = exclusive_scan(apply("bit_count", words))
     total = _total(words, starts)
     spilled = apply("bit_or", needed > room, total > second)
-    drawn = apply("select", spilled, first, total)
-    listed = apply("tile_list", words, starts, spilled, total, faces, ranges, bases, drawn, slots=second, bins=sizes.extent.count,
-                   partial=boxes.serial)
-    where = apply("tile_ranges", starts, spilled, total, ranges, bases, tiles_x=grid.tiles[0], tiles_y=grid.tiles[1],
-                  **{key: some[key] for key in ("views", "bins_x", "bins_y")})
+    drawn = apply("select", spilled, drawn, total)
+    tiles = {"tiles_x": grid.tiles[0], "tiles_y": grid.tiles[1], **bins}
+    marks = apply("list_marks", starts, spilled, total, slots=second)
+    of_marks = apply("mark_bins", marks, bases, bins=sizes.extent.count)
+    listed = apply("tile_list", words, starts, spilled, total, marks, of_marks, faces, ranges, bases, drawn, slots=second,
+                   partial=boxes.serial, **tiles)
+    where = apply("tile_ranges", starts, spilled, total, ranges, bases, **tiles)
     assert spilled.extent == UNIT
-    return Binned(listed, where, as_node(total), spilled)
+    return Binned(listed.x, listed.y, where, as_node(total), spilled)

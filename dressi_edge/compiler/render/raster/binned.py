@@ -17,6 +17,7 @@ from ...graph.functions import absolute, apply, clamp, compose, constant, consta
 from ...graph.ir import UNIT, Node, table
 from ...graph.ops.bins import Grid
 from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
+from ...graph.ops.soft_mask import soft_masks
 from ...graph.ops.tile_lists import Binned as Lists
 from ...graph.ops.tile_lists import bin_faces
 from ...graph.optable import as_node
@@ -168,7 +169,7 @@ class BinnedFragments(Fragments):
         """The pixels near each face."""
         where = {key: self.pair[key] for key in ("cell_w", "cell_h", "columns", "face_count")}
         reach = (0.0 if self.settings.hard else self.settings.r) + 0.05
-        return apply("soft_boxes", *(apply("stop_gradient", x) for x in self.places), reach=reach, **where)
+        return apply("soft_boxes", *(apply("stop_gradient", x) for x in self.places), reach=reach, tight=int(self.settings.hard), **where)
 
     @cached_property
     def lists(self) -> Lists:
@@ -176,12 +177,22 @@ class BinnedFragments(Fragments):
         if self.settings.tile is None:
             views, n = self.grid.views, self.grid.faces
             ranges = np.arange(views)[:, None] * n + (0, n)
-            return Lists(constant_table(np.arange(views * n)), constant_table(ranges), as_node(views * n), as_node(0))
-        return bin_faces(self.boxes, self.grid, self.settings.pairs)
+            faces, tiles, where = (constant_table(x) for x in (np.arange(views * n), np.zeros(1, int), ranges))
+            return Lists(faces, tiles, where, as_node(views * n), as_node(1))
+        return bin_faces(self.boxes, self.grid, self.settings.pairs, 0.0 if self.settings.hard else self.settings.r)
 
     @property
     def _listed(self) -> tuple[tuple[Node, ...], dict]:
-        return (self.boxes, self.lists.ranges, self.lists.faces), {**listed_attrs(self.grid, self.atlas.extent), **self.pair}
+        lists = self.boxes, self.lists.ranges, self.lists.faces, self._masks, self.lists.spilled
+        return lists, {**listed_attrs(self.grid, self.atlas.extent), **self.pair}
+
+    @cached_property
+    def _masks(self) -> Node:
+        """Which of the pixels of its tile each entry of the lists may come near."""
+        if self.settings.tile is None:
+            return constant_table(np.zeros((1, 4), int))
+        corners = [apply("stop_gradient", x) for x in self.places]
+        return soft_masks(corners, self.lists, self.grid, 0.0 if self.settings.hard else self.settings.r)
 
     def silhouette(self) -> Node:
         """1 - prod(1 - D) of all faces."""
