@@ -74,6 +74,15 @@ def _tile_words_ref(sides, ranges, bases, needed, slots, views, bins_x, bins_y):
     return to_table(out)
 
 
+# a / n of what is not negative, without the division of integers that many machines do one number after the other.
+_FUNCTIONS = """
+int tile_quotient(int a, int n) {
+    int q = int(float(a) / float(n));
+    q -= q * n > a ? 1 : 0;
+    return (q + 1) * n <= a ? q + 1 : q;
+}
+"""
+
 # The bin of word w_ of the tiles: c_, from c_ to before top_; with its range r_, words a tile n_.
 _OF_BIN = """while (top_ - c_ > 1) { int mid_ = (c_ + top_) >> 1; if ({bases_at}(mid_) <= w_) c_ = mid_; else top_ = mid_; }
     ivec2 r_ = {ranges_at}(c_);
@@ -108,20 +117,22 @@ def _tile_words_sample(rng):
 
 
 op("tile_sides", "boxes ranges bases needed", attrs="slots " + _GRID, reads="texel texel texel texel", ref=_tile_sides_ref, cost=300,
+   functions=_FUNCTIONS,
    infer=lambda name, inputs, attrs: ("int", table(attrs["slots"])), sample=_tile_sides_sample,
    glsl="""{ int w_ = {i} * 4, c_ = 0, top_ = w_ < {needed}(ivec2(0)) ? {bases_n} : 0;
     """ + _OF_BIN + _BIN_PLACE.replace("q_", "o_") + """
-    int at_ = {i} - {bases_at}(c_) / 4, t_ = n_ > 0 ? at_ / n_ : 16, first_ = r_.x + (at_ - t_ * n_) * 32, axis_ = t_ < 8 ? 0 : 1;
+    int at_ = {i} - {bases_at}(c_) / 4, t_ = n_ > 0 ? tile_quotient(max(at_, 0), n_) : 16;
+    int first_ = r_.x + (at_ - t_ * n_) * 32, axis_ = t_ < 8 ? 0 : 1;
     int q_ = axis_ == 0 ? o_.x + t_ * {tile_w} : o_.y + (t_ - 8) * {tile_h}, e_ = q_ + (axis_ == 0 ? {tile_w} : {tile_h});
     n_ = t_ < 16 && {i} < {n} ? min(r_.y - first_, 32) : 0;
     """ + _SPANNED + """ }""",
    doc="For each of the eight columns and the eight rows of tiles of a bin and 32 entries of its list a word: bit k is set if box k, in "
        "the order of the list, meets it. Words of a bin lie from a quarter of `bases` on, `needed` / 4 in all.")
 op("tile_words", "sides ranges bases needed", attrs="slots views bins_x bins_y", reads="texel texel texel texel", ref=_tile_words_ref,
-   cost=40, infer=lambda name, inputs, attrs: ("int", table(attrs["slots"])), sample=_tile_words_sample,
+   cost=40, functions=_FUNCTIONS, infer=lambda name, inputs, attrs: ("int", table(attrs["slots"])), sample=_tile_words_sample,
    glsl="""{ int w_ = {i}, c_ = 0, top_ = w_ < {needed}(ivec2(0)) ? {bases_n} : 0;
     """ + _OF_BIN + """
-    int base_ = {bases_at}(c_), at_ = w_ - base_, t_ = n_ > 0 ? at_ / n_ : 64, g_ = base_ / 4 + at_ - t_ * n_;
+    int base_ = {bases_at}(c_), at_ = w_ - base_, t_ = n_ > 0 ? tile_quotient(max(at_, 0), n_) : 64, g_ = base_ / 4 + at_ - t_ * n_;
     {y} = t_ < 64 && {i} < {n} ? {sides_at}(g_ + t_ % 8 * n_) & {sides_at}(g_ + (8 + t_ / 8) * n_) : 0; }""",
    doc="For each tile and 32 entries of its bin's list a word: bit k is set if box k, in the order of the list, meets the tile: its column "
        "and its row. Words of a bin's 64 tiles lie from `bases` on, `needed` in all.")
@@ -168,13 +179,14 @@ op("mark_bins", "marks bases", attrs="bins", reads="own texel", ref=_mark_bins_r
    doc="The bin whose words hold each marked one: the last that begins there or before.")
 op("tile_list", "words starts spilled total marks of_marks faces ranges bases drawn",
    attrs="slots views bins_x bins_y tiles_x tiles_y partial?", reads="texel " * 9 + "count", ref=_tile_list_ref, cost=150,
-   sample=_tile_list_sample, infer=_listed("ivec2"),
+   sample=_tile_list_sample, functions=_FUNCTIONS, infer=_listed("ivec2"),
    glsl="""{ int s_ = {i}, end_ = {spilled}(ivec2(0)) == 0 ? {total}(ivec2(0)) : 0;
     """ + _FIND + """
     int w_ = low_, c_ = s_ < end_ ? {of_marks_at}(s_ / MARK) : 0, top_ = s_ < end_ ? {of_marks_at}(s_ / MARK + 1) + 1 : 0;
     """.replace("MARK", f"{MARK}") + _OF_BIN + """
     {y} = ivec2(-1);
-    int at_ = w_ - {bases_at}(c_), t_ = at_ / max(n_, 1), v_ = c_ / ({bins_x} * {bins_y}), in_ = c_ - v_ * ({bins_x} * {bins_y});
+    int at_ = w_ - {bases_at}(c_), t_ = tile_quotient(max(at_, 0), max(n_, 1));
+    int v_ = c_ / ({bins_x} * {bins_y}), in_ = c_ - v_ * ({bins_x} * {bins_y});
     ivec2 tile_ = ivec2(in_ % {bins_x}, in_ / {bins_x}) * 8 + ivec2(t_ % 8, t_ / 8);
     if (high_ > 0) {y} = ivec2({faces_at}(r_.x + (at_ - t_ * n_) * 32 + bit_), (v_ * {tiles_y} + tile_.y) * {tiles_x} + tile_.x);
     if ({spilled}(ivec2(0)) != 0 && s_ < {faces_n}) {y} = ivec2({faces_at}(s_), -1); }""",
