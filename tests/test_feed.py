@@ -13,10 +13,12 @@ from test_views import write_views
 
 from dressi_edge import runtime
 from dressi_edge.cache import bundle as bundles
+from dressi_edge.cache import kept as kept_parts
 from dressi_edge.cache.errors import BundleError, InputError
 from dressi_edge.cache.feed import Feed, differences, summed
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cli import main
+from dressi_edge.compiler.graph.ops import texture_gradient
 from dressi_edge.compiler.graph.ops.packed import unorm8
 from dressi_edge.compiler.graph.program import Program
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
@@ -27,6 +29,7 @@ from dressi_edge.compiler.io.lens import Lens
 from dressi_edge.compiler.io.pictures import Pictures
 from dressi_edge.compiler.io.shapes import sphere
 from dressi_edge.compiler.io.views import Views, load_views
+from dressi_edge.compiler.render.loss import ssim_loss
 from dressi_edge.compiler.render.optimizer import Adam
 from dressi_edge.compiler.render.raster import Softness
 from dressi_edge.compiler.scene import targets
@@ -185,10 +188,21 @@ def unkept(gpu, photos, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def keeping(gpu, photos, tmp_path_factory):
-    """A bundle of which views are kept, and what one of them takes."""
+    """A bundle of which views are kept, all pixels of them, and what one of them takes."""
+    return kept_of(gpu, photos, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def listing(gpu, photos, tmp_path_factory):
+    """The same, where lists are kept of the pixels that sample the texture, as of views that have many."""
+    return kept_of(gpu, photos, tmp_path_factory, 100)
+
+
+def kept_of(gpu, photos, tmp_path_factory, many=texture_gradient.MANY):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(targets, "SMALL", 1000)
         patch.setattr(targets, "SLOTS", 3)
+        patch.setattr(texture_gradient, "MANY", many)
         path = made(gpu, fit(load_views(photos)), tmp_path_factory.mktemp("keeping") / "x.dressi")
     with runtime.load(path, gpu.device) as session:
         assert [x["input"] for x in session.bundle.description["meta"]["kept"]] == ["paint.view"], "vertices move in the other phase"
@@ -198,20 +212,77 @@ def keeping(gpu, photos, tmp_path_factory):
 
 
 @pytest.mark.parametrize("room", [0, 1, 3, 100])
-def test_how_many_views_are_kept_makes_no_difference(gpu, keeping, unkept, monkeypatch, room):
-    path, size = keeping
+@pytest.mark.parametrize("kind", ["keeping", "listing"])
+def test_how_many_views_are_kept_makes_no_difference(gpu, request, kind, unkept, monkeypatch, room):
+    path, size = request.getfixturevalue(kind)
+    assert bool(bundles.read(path).description["meta"]["kept"][0]["lists"]) == (kind == "listing")
     monkeypatch.setattr(kept, "USUAL_BYTES", room * size)
     with runtime.load(path, gpu.device) as session:
         before = session.report()["image_bytes"]
         assert painted(session) == unkept[0]
         report = session.report()
-        assert report["views_kept"] == {"paint": min(room, N)} and report["image_bytes"] == before + min(room, N) * size
+        if kind == "keeping":
+            assert report["views_kept"] == {"paint": min(room, N)} and report["image_bytes"] == before + min(room, N) * size
+        assert report["image_bytes"] <= before + room * size
         made_once = report["runs"]["paint.prepare"]
         assert made_once == N if room > N else made_once > N
         session.set("vertices", session.get("vertices") * np.float32(1.125))
         assert painted(session) == unkept[1], "what was kept of another shape is made again"
-        assert session.report()["image_bytes"] == report["image_bytes"]
+        assert session.report()["image_bytes"] <= before + room * size
     gpu.silent()
+
+
+def test_of_lists_as_much_is_kept_as_there_are_entries(gpu, listing):
+    with runtime.load(listing[0], gpu.device) as session:
+        d = session.bundle.description
+        session.step(1, "paint")
+        few, = session._kept._copies["paint.view"].values()
+        turn = session._kept.turns["paint"]
+        rows = {image: r["height"] for image, r in zip(turn.images, few.own.records)}
+        assert len(turn.lists) > 2
+        covered = np.count_nonzero(session.get("render.color", view=int(turn.order[0]))[..., 3])
+        for image, (_, column) in turn.lists.items():
+            record = d["images"][image]
+            assert column == record["width"] and rows[image] == -(-covered // column) < record["height"]
+        near = session.get("vertices")
+        session.set("vertices", near * np.float32(1.5))
+        session.set("paint.step", 0)
+        session.step(1)
+        more, = session._kept._copies["paint.view"].values()
+        assert more is not few and all(a["height"] >= b["height"] for a, b in zip(more.own.records, few.own.records))
+        session.set("vertices", near)
+        session.set("paint.step", 0)
+        session.step(1)
+        assert list(session._kept._copies["paint.view"].values()) == [more], "there is room enough"
+    gpu.silent()
+
+
+@pytest.mark.parametrize(("width", "height", "column"), [(4, 10, 4), (64, 100, 64), (256, 30, 64), (128, 7, 64)])
+def test_the_part_of_an_image_that_is_kept_holds_all_entries(width, height, column):
+    for count in (0, 1, column, column + 1, column * height - 1, column * height, column * height + 1, width * height):
+        count = min(count, width * height)
+        w, h = kept_parts.part((width, height), column, count)
+        k = np.arange(count)
+        x, y = k // (column * height) * column + k % column, k // column % height
+        assert 0 < w <= width and 0 < h <= height and (x < w).all() and (y < h).all()
+        assert w * h - count < column * (height if w > column else 1) + (count == 0)
+
+
+def test_a_loss_of_pixels_and_their_neighbours_is_kept_pixel_by_pixel(gpu, photos, tmp_path, monkeypatch):
+    monkeypatch.setattr(texture_gradient, "MANY", 100)
+    found = []
+    for whole in (True, False):
+        problem = Problem(sphere(42, 0.7), load_views(photos), order="shuffle", albedo="texture", texture_size=(24, 16), whole=whole)
+        problem.phase("paint", 6, {"texture": Adam(0.05)},
+                      [lambda frame, target: ssim_loss(frame.color, target.xyz, cell=frame.cell)], Softness(1.0))
+        path = made(gpu, problem, tmp_path / f"{whole}.dressi")
+        with runtime.load(path, gpu.device) as session:
+            session.step(9, "paint")
+            found.append((session.loss(), session.get("texture").tobytes()))
+            if not whole:
+                assert session.report()["views_kept"] == {"paint": N}
+                assert not session._kept.turns["paint"].lists
+    assert found[0] == found[1]
 
 
 def test_steps_of_views_that_are_kept_are_one_submission(gpu, keeping, monkeypatch):
@@ -302,10 +373,14 @@ def test_a_reader_that_does_not_know_of_it_is_asked_for_the_view(gpu, photos):
 
 @pytest.mark.parametrize(("key", "value"), [
     ("input", "vertices"), ("input", "lost"), ("counter", "texture"), ("counter", "paint.view"), ("order", b""), ("order", b"123"),
-    ("order", np.full(2, -1, "<i4").tobytes()), ("order", 3), ("memory", "x"), ("memory", -1)])
-def test_a_bundle_that_misleads_about_what_is_kept_is_refused(gpu, keeping, tmp_path, key, value):
+    ("order", np.full(2, -1, "<i4").tobytes()), ("order", 3), ("memory", "x"), ("memory", -1), ("lists", 3), ("lists", "last"),
+    ("lists", "format"), ("lists", "column")])
+def test_a_bundle_that_misleads_about_what_is_kept_is_refused(gpu, listing, tmp_path, key, value):
     path = tmp_path / "x.dressi"
-    misled(keeping[0], path, lambda meta: {**meta, "kept": [{**meta["kept"][0], key: value}]})
+    if key == "lists" and value != 3:  # a total that is not kept; one that is no number
+        (image, total, column), (other, *_) = bundles.read(listing[0]).description["meta"]["kept"][0]["lists"][:2]
+        value = [{"last": [image, 0, column], "format": [image, other, column], "column": [image, total, column - 1]}[value]]
+    misled(listing[0], path, lambda meta: {**meta, "kept": [{**meta["kept"][0], key: value}]})
     with pytest.raises(BundleError, match="meta.kept is malformed"):
         runtime.load(path, gpu.device)
 

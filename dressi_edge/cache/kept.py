@@ -11,17 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from .bundle_plans import bound, counts, written
-from .copies import OUTPUT
+from .copies import PHASE
 from .errors import BundleError
 from .reactive import Rule
+from .vulkan import FORMATS
 
 
 @dataclass(frozen=True)
 class Turn:
     """What happens view by view. input: the name of the input that says which view the next step sees. counter: the state that counts
     steps. order: (n,) int32, the view of each step, after which it begins again. memory: bytes for all images, what is kept included, or
-    None. makes: the plans whose results depend on the view and that others read, in order; images: those results. readers: the plans that
-    a user runs and that see the view."""
+    None. makes: the plans that a phase needs and whose results depend on the view; images: those results; lists: of those that are lists,
+    the image whose last texel says how many entries there are, and how wide the columns are in which they lie. readers: the plans that a user runs and that see the view."""
 
     input: str
     counter: str
@@ -29,6 +30,7 @@ class Turn:
     memory: int | None
     makes: tuple[str, ...]
     images: tuple[int, ...]
+    lists: Mapping[int, tuple[int, int]]
     readers: tuple[str, ...]
 
     def view(self, step: int) -> int:
@@ -50,25 +52,42 @@ def turns(d: Mapping, rules: Mapping[str, Rule]) -> list[Turn]:
             if x["memory"] is not None and (type(x["memory"]) is not int or x["memory"] < 0):
                 raise ValueError("memory")
             seeing = [rule for rule in rules.values() if x["input"] in rule.inputs]
-            makes = tuple(rule.name for rule in seeing if rule.kind == OUTPUT and not rule.outputs)
-            found.append(Turn(x["input"], x["counter"], order, x["memory"], makes, _results(d, rules, makes, shown["image"]),
-                              tuple(rule.name for rule in seeing if rule.name not in makes)))
+            phases = [rule for rule in seeing if rule.kind == PHASE]
+            makes = tuple(rule.name for rule in seeing if any(rule.name in phase.needs for phase in phases))
+            images = _results(d, phases, makes, shown["image"])
+            found.append(Turn(x["input"], x["counter"], order, x["memory"], makes, images, _lists(d, x["lists"], images),
+                              tuple(rule.name for rule in seeing if rule.kind == PHASE or rule.outputs)))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BundleError(f"meta.kept is malformed ({error}); compile the bundle again") from None
     return found
 
 
-def _results(d: Mapping, rules: Mapping[str, Rule], makes: tuple[str, ...], shown: int) -> tuple[int, ...]:
-    """The images that these plans fill, or that of the view's number, and that others read without filling them."""
+def _results(d: Mapping, phases: list[Rule], makes: tuple[str, ...], shown: int) -> tuple[int, ...]:
+    """The images that these plans fill, or that of the view's number, and that phases read without filling them."""
     plans = {plan["name"]: plan for plan in d["plans"]}
-    filled = {ref // 2 for name in makes for stage in plans[name]["stages"] for ref in written(stage)}
-    filled.add(shown)
+    filled = {shown, *(ref // 2 for name in makes for stage in plans[name]["stages"] for ref in written(stage))}
     results: set[int] = set()
-    for name, rule in rules.items():
-        if name in makes or set(makes).isdisjoint(rule.needs):
-            continue
+    for phase in phases:
         mine: set[int] = set()
-        for stage in plans[name]["stages"]:
+        for stage in plans[phase.name]["stages"]:
             results |= {ref // 2 for ref in (*bound(stage), *counts(stage)) if ref // 2 in filled and ref // 2 not in mine}
             mine |= {ref // 2 for ref in written(stage)}
     return tuple(sorted(results))
+
+
+def _lists(d: Mapping, rows: list, images: tuple[int, ...]) -> dict[int, tuple[int, int]]:
+    """Image -> image with the number of its entries and the width of its columns, of those that are kept."""
+    found = {}
+    for image, total, column in rows:
+        if image in images:
+            if total not in images or d["images"][total]["format"] != FORMATS["R32_SINT"] or d["images"][image]["width"] % column:
+                raise ValueError("lists")
+            found[image] = total, column
+    return found
+
+
+def part(size: tuple[int, int], column: int, count: int) -> tuple[int, int]:
+    """What of an image of this size its first `count` entries need, which lie in columns of this width, in a column row by row."""
+    width, height = size
+    columns = max(1, -(-count // (column * height)))
+    return min(columns * column, width), height if columns > 1 else max(1, -(-count // column))

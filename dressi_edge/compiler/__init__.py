@@ -16,7 +16,7 @@ from ..cache.spirv_interface import parse
 from ..cache.summary import image_bytes
 from ..cache.verify import violations
 from .backend import dump, spirv
-from .backend.allocate import allocate
+from .backend.allocate import allocate, kept_lists
 from .backend.check import check, check_kinds
 from .backend.describe import describe, shaders
 from .backend.emit import emit
@@ -30,6 +30,7 @@ from .passes.compute import find_compute, room
 from .passes.domains import find_domains
 from .passes.groups import grouped, lowered
 from .passes.lists import MIN_TEXELS, find_lists
+from .passes.ordered import in_order
 from .passes.pack import pack
 from .passes.plans import PackedPlan, plan_graphs, stored
 from .passes.still import find_still
@@ -100,6 +101,7 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
         groups = tuple(find_lists(group, program, profile, options.lists) for group in groups)
     if options.cache and not options.naive:
         groups = checked("listed", tuple(map(find_still, groups)))
+        groups = checked("ordered", tuple(in_order(group, program) for group in groups))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]
@@ -117,6 +119,9 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
         description["meta"]["texels"] = texels
     if profile.table_width is not None:
         description["meta"]["table_width"] = profile.table_width
+    if "kept" in program.meta:
+        lists = list(map(list, kept_lists(packed, places)))
+        description["meta"]["kept"] = [{**x, "lists": lists} for x in program.meta["kept"]]
     if options.memory is not None and (size := sum(image_bytes(x) * x["slots"] for x in description["images"])) > options.memory:
         raise InputError(f"the images of the bundle need {size / 1e6:.1f} MB for profile {profile.name}; memory allows "
                          f"{options.memory / 1e6:.1f} MB; use smaller views, a smaller texture, or more memory")

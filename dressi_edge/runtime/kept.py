@@ -9,6 +9,7 @@ In: a session, in which this has the rights of a method. Out: what runs before a
 """
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,11 @@ import numpy as np
 
 from ..cache import vulkan as v
 from ..cache.errors import DeviceError
-from ..cache.kept import Turn, turns
+from ..cache.kept import Turn, part, turns
 from . import vk
 from .memory import Images, image_bytes
 from .record import wait
-from .transfer import to_general, upload
+from .transfer import read, to_general, upload
 
 if TYPE_CHECKING:
     from .plans import Plan
@@ -53,7 +54,7 @@ class Kept:
         self.inputs = tuple(turn.input for turn in found)
         self._shown: dict[str, int | None] = dict.fromkeys(self.inputs)  # by input, the view whose number its image holds
         self._copies: dict[str, dict[int, Copy]] = {name: {} for name in self.inputs}
-        self._full, self.bytes = False, 0
+        self.bytes = self._made = 0
 
     def close(self) -> None:
         """Give everything back; nothing may be running."""
@@ -102,6 +103,10 @@ class Kept:
     def run(self, plan: Plan, n: int) -> int:
         """Run at most n iterations of a plan that sees a view in one submission; how many."""
         s, turn = self.s, self.turns[plan.name]
+        if not plan.states:
+            self.prepare(plan)
+            s._submit(plan)
+            return 1
         first = self._fresh(turn, self._view(turn, 0))
         if first is None:
             self.prepare(plan)
@@ -124,11 +129,12 @@ class Kept:
     def _keep(self, turn: Turn, view: int) -> Copy | None:
         """Copy what was just made of a view, if there is room."""
         s = self.s
-        copy = self._copies[turn.input].get(view) or self._room(turn, view)
+        records = self._records(turn)
+        copy = self._room(turn, view, records)
         if copy is None:
             return None
-        copy.seen.clear()
-        copies = [(s._images.handles[image][0], s._d["images"][image], handle) for image, (handle,) in zip(turn.images, copy.own.handles)]
+        copies = [(s._images.handles[image][0], record, handle)
+                  for image, record, (handle,) in zip(turn.images, records, copy.own.handles)]
 
         def move(c: int) -> None:
             wait(c, s._work.compute)
@@ -141,31 +147,68 @@ class Kept:
         s._work.once(move, [(copy.seen, name, versions) for name, versions in seen.items()])
         return copy
 
-    def _room(self, turn: Turn, view: int) -> Copy | None:
-        """A copy for one more view, which holds nothing; None once there is no memory for them."""
-        s = self.s
-        records = [{**s._d["images"][image], "usage": s._d["images"][image]["usage"] | v.USAGE_TRANSFER_DST} for image in turn.images]
+    def _records(self, turn: Turn) -> list[dict]:
+        """The images of a copy of what was just made: of lists as much as there are entries in."""
+        s, sizes = self.s, {}
+
+        def counted(total: int, place: np.ndarray) -> None:
+            sizes[total] = int(place.view(np.int32)[0])
+
+        readers = []
+        for total in sorted({total for total, _ in turn.lists.values()}):
+            handle, record = s._handle(total)
+            last = {**record, "x": record["width"] - 1, "y": record["height"] - 1, "width": 1, "height": 1}
+            readers.append((handle, last, functools.partial(counted, total)))
+        if readers:
+            read(s._work, s._staging, readers)
+        found = []
+        for image in turn.images:
+            record = s._d["images"][image]
+            width, height = record["width"], record["height"]
+            if image in turn.lists:
+                total, column = turn.lists[image]
+                width, height = part((width, height), column, sizes[total])
+            found.append({**record, "usage": record["usage"] | v.USAGE_TRANSFER_DST, "width": width, "height": height})
+        return found
+
+    def _room(self, turn: Turn, view: int, records: list[dict]) -> Copy | None:
+        """A copy of a view, which holds nothing; None once there is no memory for more."""
+        s, copies = self.s, self._copies[turn.input]
+        old = copies.get(view)
+        if old is not None:
+            old.seen.clear()
+            if all(a[side] >= b[side] for side in ("width", "height") for a, b in zip(old.own.records, records)):
+                return old
+            self._drop(turn, view)
         most = USUAL_BYTES if turn.memory is None else max(0, turn.memory - s._images.bytes)
         heap = max((size for size, flags in s.device.heaps if flags & vk.VK_MEMORY_HEAP_DEVICE_LOCAL_BIT), default=0)
         most = min(most, max(0, heap - s._images.bytes) // HEAP_SHARE)
-        if self._full or self.bytes + sum(map(image_bytes, records)) > most:
-            self._full = True
+        if self.bytes + sum(map(image_bytes, records)) > most:
             return None
         try:
             own = Images(s.device, records, s._depth_format)
         except DeviceError:
-            self._full = True
             return None
         if self.bytes + own.bytes > most:
             own.close()
-            self._full = True
             return None
         self.bytes += own.bytes
         handles, views = list(s._images.handles), list(s._images.views)
         for image, handle, seen in zip(turn.images, own.handles, own.views):
             handles[image], views[image] = handle, seen
-        copy = self._copies[turn.input][view] = Copy(1 + sum(map(len, self._copies.values())), handles, views, own, {})
-        return copy
+        self._made += 1
+        copies[view] = Copy(self._made, handles, views, own, {})
+        return copies[view]
+
+    def _drop(self, turn: Turn, view: int) -> None:
+        """Give a copy back, and what was recorded on it."""
+        copy = self._copies[turn.input].pop(view)
+        for name in turn.readers:
+            recordings = self.s._plans[name].recordings
+            for key in [key for key in recordings if len(key) > len(self.s._plans[name].slots) and key[-1] == copy.number]:
+                recordings.pop(key).close()
+        self.bytes -= copy.own.bytes
+        copy.own.close()
 
 
 def _version(view: int) -> int:

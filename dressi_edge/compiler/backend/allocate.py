@@ -6,7 +6,7 @@ the last stage that reads it has run; the next value of its format and size take
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -66,6 +66,18 @@ def allocate(program: Program, plans: Sequence[PackedPlan], wide: Mapping[Node, 
               for name, value in program.values.items()}
     values |= {node.attrs["name"]: images.leaf(node) for node in images.copies}
     return Allocation(tuple(images.made), placed, values)
+
+
+def kept_lists(plans: Sequence[PackedPlan], places: Allocation) -> Iterator[tuple[int, int, int]]:
+    """Of images that plans fill for others and that hold lists, each with the image whose last texel says how many entries there are, and
+    how wide the columns are in which they lie."""
+    totals = {extent: leaf for plan in plans for extent, leaf in plan.graph.totals.items()}
+    at = {target: where.refs[root] // 2 for plan, where in zip(plans, places.plans)
+          for root, target in zip(plan.graph.roots, plan.graph.targets) if isinstance(target, Node) and not target.op.held}
+    for leaf, image in at.items():
+        if leaf.extent in totals:
+            width = places.images[image].width
+            yield image, at[totals[leaf.extent]], leaf.extent.column if width == leaf.extent.width else width
 
 
 def is_copy(program: Program, leaf: Node) -> bool:

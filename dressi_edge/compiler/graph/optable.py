@@ -119,6 +119,16 @@ class Listed:
 
 
 @dataclass(frozen=True)
+class InOrder:
+    """How a node sums over pixels of which there is a list in the order of the sum (`compiler/passes/ordered.py`). pixels: the numbers of
+    the listed pixels. total: of the sum, from the values of input 0 at the listed pixels, and a function that takes other images of the
+    pixels there."""
+
+    pixels: Node
+    total: Callable[[Node, Callable[[Node], Node]], Node]
+
+
+@dataclass(frozen=True)
 class Op:
     """One row of the table."""
 
@@ -145,6 +155,7 @@ class Op:
     held: bool = False  # a leaf that the session holds by name: an input or a state
     listed: Callable | None = None  # of a node: `Listed`
     still: Callable | None = None  # of a node whose inputs rest but those of its extent's images: passes/still.py
+    ordered: Callable | None = None  # of a node: `InOrder`, or None
     dense: str = ""  # why of a texture that it samples, input 0, there can be no list
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
@@ -159,6 +170,11 @@ class Op:
     def read(self, k: int) -> str:
         """How input k is read."""
         return self.reads[k] if k < len(self.reads) else OWN
+
+    def placed(self, node: Node) -> bool:
+        """Whether a texel of a node of this op depends on where it lies, not on what is read alone."""
+        text = self.glsl(node) if callable(self.glsl) else self.glsl
+        return any(mark in text for mark in ("{p}", "{i}", "{snap}"))
 
     def kernel_of(self, node: Node) -> Kernel:
         """The kernel of a node of this op."""

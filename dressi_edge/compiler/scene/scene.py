@@ -252,8 +252,9 @@ class Scene:
 
     def terms(self, name: str, values: Mapping[str, Node]) -> None:
         """The plan of the terms of the phase that was added last, each an output `<name>.<term>`."""
+        last = self.program.plans[-1]
         self.program.plan(f"{name}.terms", outputs={f"{name}.{key}": (value, Layout("unit", "float")) for key, value in values.items()},
-                          dynamic=self.program.plans[-1].dynamic, group=name)
+                          dynamic=last.dynamic, group=last.group)
 
     def check_phase(self, name, steps, optimize, terms) -> None:
         if not isinstance(name, str) or name in self.phases or not name or "." in name:
@@ -291,7 +292,9 @@ class Scene:
         updates[f"{name}.step"] = step + 1
         dynamic = frozenset(updates)
         self.program.plan(name, updates, dynamic=dynamic, steps=steps, group=name)
-        self.program.plan(f"{name}.loss", outputs={f"{name}.loss": (loss, Layout("unit", "float"))}, dynamic=dynamic, group=name)
+        apart = name in self.program.turned  # what a step keeps of a view is not what the loss reads
+        self.program.plan(f"{name}.loss", outputs={f"{name}.loss": (loss, Layout("unit", "float"))},
+                          dynamic=None if apart else dynamic, group=f"{name}.loss" if apart else name)
         self.phases.append(name)
         return values
 

@@ -135,7 +135,7 @@ class Targets:
         for spec in program.plans if self.order is not None else ():
             leaves = {x.name for x in topological([*spec.updates.values(), *spec.outputs.values()]) if x.op.held}
             if self.node.name in leaves:
-                steps[spec.name] = f"{spec.group}.step"
+                steps[spec.name] = f"{spec.group.partition('.')[0]}.step"  # names of phases have no dots
         found = {"value": self.node.name, "views": n, "bits": self.bits,
                  "table": None if self.table is None else self.table.astype("<f4").tobytes(),
                  "order": None if self.order is None else self.order.astype("<i4").tobytes(), "steps": steps, "shown": shown,

@@ -13,7 +13,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import Extent, Node, image, is_int, table
-from ..optable import Listed, Loop, apply, common_extent, empty, flag, op
+from ..optable import InOrder, Listed, Loop, apply, common_extent, empty, flag, op
 from .compact import Compact, compact
 from .lookup import constant
 from .texture import FETCHES, FOOTPRINT, TEXELS, WRAPS, _infer, _sample_ref, footprint
@@ -406,11 +406,66 @@ def _gather_sample(rng):
 
 _ENTRY = "{ vec2 e_ = {entries_at}(k_);"
 _ADD = "{y} += e_.y * {g_at}(int(e_.x));"
-op("texture_gather", "g rows entries", sums=(0,), reads="texel own texel", ref=lambda g, rows, entries: _lanes_ref(g, rows, entries, 1, 1),
-   infer=_gather_infer, cost=60, when=empty(1),
+def _in_order(node: Node) -> InOrder | None:
+    """How `texture_gather` sums what lies in the order in which pixels were sorted, if only those that sample something were."""
+    entries = node.inputs[2]
+    if entries.op.name != "texture_list" or not entries.inputs[2].extent.partial:
+        return None
+    _, bins, ordered, footprint = entries.inputs
+    how = {"width": footprint.attrs["width"], "height": footprint.attrs["height"], "clamped": WRAPS.index(footprint.attrs["wrap"])}
+    return InOrder(apply("swizzle", ordered, channels="y"),
+                   lambda g, there: apply("texture_gather_ordered", g, bins, there(footprint.inputs[0]), **how))
+
+
+op("texture_gather", "g rows entries", ordered=_in_order, sums=(0,), reads="texel own texel",
+   ref=lambda g, rows, entries: _lanes_ref(g, rows, entries, 1, 1), infer=_gather_infer, cost=60, when=empty(1),
    sample=lambda rng: (_gather_sample(rng), {}),
    loop=Loop("for (int k_ = {rows}.x; k_ < {rows}.y; ++k_) " + _ENTRY, _ADD),
    doc="For each texel the sum of weight x g over its entries; no second derivative.")
+
+
+def _gather_ordered_ref(g, bins, uv, width, height, clamped):
+    g, wrap = g.reshape(-1, g.shape[2]), WRAPS[clamped]
+    f = _footprint_ref(uv, np.ones_like(uv[..., :1]), width, height, wrap).reshape(-1, 4)[:, 2:]
+    out = np.zeros((*bins.shape[:2], g.shape[1]))
+    for y, x in np.ndindex(bins.shape[:2]):
+        for corner in range(4):
+            i, j = corner & 1, corner >> 1
+            k = slice(*bins[y - j, x - i])
+            weight = (f[k, 0] if i else 1 - f[k, 0]) * (f[k, 1] if j else 1 - f[k, 1])
+            out[y, x] += (weight[:, None] * g[k]).sum(0)
+    return out
+
+
+def _gather_ordered_infer(name, inputs, attrs):
+    g, bins, uv = inputs
+    if g.extent != uv.extent or uv.vtype != "vec2" or bins.vtype != "ivec2":
+        raise GraphError(f"{name}: gradients and vec2 coordinates of one extent, and ivec2 bins are needed, got {g!r}, {uv!r} and {bins!r}")
+    if _size(bins.extent) != (attrs["width"], attrs["height"]):
+        raise GraphError(f"{name}: bins of {attrs['width']}x{attrs['height']} texels are needed, got {bins!r}")
+    return g.vtype, bins.extent
+
+
+def _gather_ordered_sample(rng):
+    uv = rng.uniform(-1, 2, (6, 5, 2))
+    ordered = _merge_ref(_keys_ref(_footprint_ref(uv, np.ones((6, 5, 1)), 8, 3, "repeat"), 8, 30), np.array([[[32]]]))
+    pixels = ordered.reshape(-1, 2)[:30, 1]
+    return [rng.normal(size=(6, 5, 3)), _bins_ref(ordered, image(8, 3)), uv.reshape(-1, 2)[pixels].reshape(6, 5, 2)]
+
+
+op("texture_gather_ordered", "g bins uv", sums=(0,), reads="texel texel texel", ref=_gather_ordered_ref, infer=_gather_ordered_infer,
+   cost=80, sample=lambda rng: (_gather_ordered_sample(rng), {"width": 8, "height": 3, "clamped": 0}),
+   loop=Loop("""{ int x_ = {p}.x, y_ = {p}.y, l_ = (x_ == 0 ? {bins_w} : x_) - 1, u_ = (y_ == 0 ? {bins_h} : y_) - 1;
+    ivec2 o_ = {bins}({p}), a_ = {bins}(ivec2(l_, y_)), b_ = {bins}(ivec2(x_, u_)), c_ = {bins}(ivec2(l_, u_));
+    int m0_ = o_.y - o_.x, m1_ = m0_ + a_.y - a_.x, m2_ = m1_ + b_.y - b_.x, m3_ = m2_ + c_.y - c_.x;
+    for (int j_ = 0; j_ < m3_; ++j_) {
+    int k_ = j_ < m0_ ? o_.x + j_ : j_ < m1_ ? a_.x + j_ - m0_ : j_ < m2_ ? b_.x + j_ - m1_ : c_.x + j_ - m2_;
+    vec2 f_ = {uv_at}(k_) * vec2({width}, {height}) - 0.5;
+    if ({clamped} != 0) f_ = clamp(f_, vec2(0.0), vec2({width} - 1, {height} - 1));
+    f_ -= floor(f_);
+    float e_ = (j_ < m0_ || j_ >= m1_ && j_ < m2_ ? 1.0 - f_.x : f_.x) * (j_ < m1_ ? 1.0 - f_.y : f_.y);""",
+             "{y} += e_ * {g_at}(k_);", "} }"),
+   doc="texture_gather where gradients and coordinates lie in the order of the sorted pixels: own bin, left, above, above to the left.")
 op("texture_gather_lanes", "g rows entries", sums=(0,), infer=_lanes_infer, reads="texel texel texel", ref=_lanes_ref, cost=60,
    sample=lambda rng: (_gather_sample(rng), {"across": 2, "down": 1}),
    loop=Loop("""{ ivec2 r_ = {rows}({p} / ivec2({across}, {down}));

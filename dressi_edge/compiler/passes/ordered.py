@@ -1,0 +1,91 @@
+"""Pixels of a view that are kept: only those that sample a texture, in the order in which its gradient sums them.
+
+In: the plans of a phase that sees one view a step of a shape at rest (`Program.turned`). Out: the same, with what is computed pixel by
+pixel between the texture and its gradient over the list of those pixels. What a pixel takes from its view then lies in lists, too, of
+which as much is kept as there are entries, and a texel's pixels are neighbours. The values and the order of the sums are the same.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from ..graph.ir import UNIT, Extent, Node, intern, is_int, rebuild, topological
+from ..graph.optable import OWN, TILE, apply, as_node
+from ..graph.program import Program
+from .constants import constant_value
+from .groups import Group
+from .specialize import dependence
+
+
+class _Elsewhere(Exception):
+    """A value is worked out of more than its own pixel."""
+
+
+def in_order(group: Group, program: Program) -> Group:
+    """The plans of a group; of one that does not see a view at a time, or where pixels are not listed, as they were."""
+    if group.name not in program.turned:
+        return group
+    dynamic = frozenset().union(*(spec.dynamic for spec in group.specs))
+    return replace(group, roots=tuple(_reordered(roots, dynamic) for roots in group.roots))
+
+
+def _reordered(roots: tuple[Node, ...], dynamic: frozenset[str]) -> tuple[Node, ...]:
+    names = dependence(roots)
+    new: dict[Node, Node] = {}
+    for n in topological(roots):
+        how = n.op.ordered(n) if n.op.ordered else None
+        if how is not None:
+            there = _There(how.pixels, n.inputs[0].extent, names, dynamic)
+            try:
+                new[n] = how.total(there.value(n.inputs[0]), there.value)
+            except _Elsewhere:
+                pass
+    if not new:
+        return roots
+    made = rebuild(roots, lambda n, inputs: new[n] if n in new else intern(n.op, inputs, n.attrs, n.vtype, n.extent))
+    return tuple(made[root] for root in roots)
+
+
+class _There:
+    """Values of an image of `extent` at the listed pixels, over the list's extent: looked up, or worked out there if they change."""
+
+    def __init__(self, pixels: Node, extent: Extent, names: Mapping[Node, frozenset[str]], dynamic: frozenset[str]):
+        self.pixels, self.extent, self.names, self.dynamic = pixels, extent, names, dynamic
+        self._made: dict[Node, Node] = {}
+
+    def value(self, n: Node) -> Node:
+        """Raises _Elsewhere."""
+        if n.extent == UNIT or n.op.stage == "inline":
+            return n
+        if n.extent != self.extent:
+            raise _Elsewhere
+        if n not in self._made:
+            self._made[n] = self._worked_out(n) if self.names[n] & self.dynamic else self._looked_up(n)
+        return self._made[n]
+
+    def _looked_up(self, n: Node) -> Node:
+        known = constant_value(n, {})
+        if known is not None and len(set(known.tolist())) == 1 and n.vtype in ("float", "int"):
+            return apply("broadcast", as_node(known.tolist()[0]), extent=self.pixels.extent)
+        return apply("lookup", n, self.pixels)
+
+    def _worked_out(self, n: Node) -> Node:
+        modes = [n.op.read(k) for k in range(len(n.inputs))]
+        if n.op.stage != "pixel" or n.op.loop is not None or n.op.placed(n):
+            raise _Elsewhere
+        if modes == [OWN, TILE]:  # a value inside of tiles, nothing outside
+            ones = apply("broadcast", as_node(1), extent=self.extent)
+            inside = intern(n.op, (ones, n.inputs[1]), n.attrs, ones.vtype, self.extent)
+            if self.names[n.inputs[1]] & self.dynamic:
+                raise _Elsewhere
+            return apply("select", self._looked_up(inside), self.value(n.inputs[0]), 0 if is_int(n.vtype) else 0.0)
+        inputs = []
+        for x, mode in zip(n.inputs, modes):
+            if mode == OWN:
+                inputs.append(self.value(x))
+            elif mode == TILE:
+                raise _Elsewhere
+            else:
+                inputs.append(x)
+        attrs = {k: self.pixels.extent if x == self.extent else x for k, x in n.attrs.items()}
+        return intern(n.op, tuple(inputs), attrs, n.vtype, self.pixels.extent)
