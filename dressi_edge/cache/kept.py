@@ -22,7 +22,8 @@ class Turn:
     """What happens view by view. input: the name of the input that says which view the next step sees. counter: the state that counts
     steps. order: (n,) int32, the view of each step, after which it begins again. memory: bytes for all images, what is kept included, or
     None. makes: the plans that a phase needs and whose results depend on the view; images: those results; lists: of those that are lists,
-    the image whose last texel says how many entries there are, and how wide the columns are in which they lie. readers: the plans that a user runs and that see the view."""
+    the image whose last texel says how many entries there are, and how wide the columns are in which they lie. readers: the plans that
+    a user runs and that see the view."""
 
     input: str
     counter: str
