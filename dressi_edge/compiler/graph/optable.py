@@ -110,25 +110,6 @@ def empty(k: int) -> tuple[When, ...]:
 
 
 @dataclass(frozen=True)
-class Listed:
-    """How a node reads input 0 where of that only a list of texels is kept (`compiler/passes/lists.py`): `find` makes the node's places in
-    it from an image of places, one for each texel (counted from 1, 0: not in the list), `read` the same values from list and places."""
-
-    find: Callable[[Node], Node]
-    read: Callable[[Node, Node], Node]
-
-
-@dataclass(frozen=True)
-class InOrder:
-    """How a node sums over pixels of which there is a list in the order of the sum (`compiler/passes/ordered.py`). pixels: the numbers of
-    the listed pixels. total: of the sum, from the values of input 0 at the listed pixels, and a function that takes other images of the
-    pixels there."""
-
-    pixels: Node
-    total: Callable[[Node, Callable[[Node], Node]], Node]
-
-
-@dataclass(frozen=True)
 class Op:
     """One row of the table."""
 

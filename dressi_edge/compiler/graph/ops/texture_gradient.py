@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from ....cache.errors import GraphError
+from ..facts import InOrder, Listed
 from ..ir import Extent, Node, image, is_int, table
-from ..optable import InOrder, Listed, Loop, apply, common_extent, empty, flag, op
+from ..optable import Loop, apply, common_extent, empty, flag, op
 from .compact import Compact, compact
 from .lookup import constant
 from .texture import FETCHES, FOOTPRINT, TEXELS, WRAPS, _infer, _sample_ref, footprint
