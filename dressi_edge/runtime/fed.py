@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..cache import vulkan as v
 from ..cache.errors import BundleError, InputError
 from ..cache.feed import Feed
 from ..cache.layout import Layout, is_int
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from .session import Session
 
 KIND = (np.float32, np.int32)
+TOGETHER_BYTES = 1 << 24  # of pictures that go to the device in one submission
 
 
 class Fed:
@@ -161,12 +163,16 @@ class Fed:
         self._ahead.expect(wanted.values())
         value = s.values[feed.name]
         handle, image = s._handle(value["image"])
-        for slot, view in wanted.items():
-            x, y = feed.cell(slot)
-            rows = np.ascontiguousarray(self._ahead.rows(view), np.uint8 if feed.bits == 8 else s._stored(value))
-            cell = {**image, "x": x, "y": y, "width": feed.size[0], "height": feed.size[1]}
-            upload(s._work, s._staging, [(handle, cell, rows.reshape(-1).view(np.uint8))],
-                   [*s._reactive.set([feed.name]), (feed.held, slot, view)])
+        together = max(1, TOGETHER_BYTES // (feed.size[0] * feed.size[1] * v.TEXEL_BYTES[image["format"]]))
+        slots = list(wanted)
+        for some in (slots[k:k + together] for k in range(0, len(slots), together)):
+            copies = []
+            for slot in some:
+                x, y = feed.cell(slot)
+                rows = np.ascontiguousarray(self._ahead.rows(wanted[slot]), np.uint8 if feed.bits == 8 else s._stored(value))
+                cell = {**image, "x": x, "y": y, "width": feed.size[0], "height": feed.size[1]}
+                copies.append((handle, cell, rows.reshape(-1).view(np.uint8)))
+            upload(s._work, s._staging, copies, [*s._reactive.set([feed.name]), *((feed.held, slot, wanted[slot]) for slot in some)])
         if feed.order is not None and plan.states:
             self._ahead.expect(feed.wanted(plan.name, step + n, n).values())
 
