@@ -30,8 +30,9 @@ from dressi_edge.compiler.io.pictures import Pictures
 from dressi_edge.compiler.io.shapes import sphere
 from dressi_edge.compiler.io.views import Views, load_views
 from dressi_edge.compiler.render.loss import ssim_loss
-from dressi_edge.compiler.render.optimizer import Adam
+from dressi_edge.compiler.render.optimizer import Adam, Sgd
 from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.render.schedule import Schedule
 from dressi_edge.compiler.scene import targets
 from dressi_edge.compiler.scene.problem import Loss, Problem
 from dressi_edge.compiler.scene.results import measure
@@ -92,7 +93,7 @@ def solved(session, chunks=(1, 4, 2, 1, 9), paint=(6, 2)):
 def whole(gpu, photos, tmp_path_factory):
     """Of each order, with all views on the device as floats."""
     found = {}
-    for order in ("shuffle", "cycle", "batch"):
+    for order in ("shuffle", "cycle", "batch", "accumulate"):
         path = made(gpu, fit(load_views(photos), order, whole=True), tmp_path_factory.mktemp("whole") / "x.dressi")
         with runtime.load(path, gpu.device) as session:
             assert "pictures" not in session.bundle.description["meta"]
@@ -103,7 +104,7 @@ def whole(gpu, photos, tmp_path_factory):
 # ---- the same bits
 
 
-@pytest.mark.parametrize("order", ["shuffle", "cycle", "batch"])
+@pytest.mark.parametrize("order", ["shuffle", "cycle", "batch", "accumulate"])
 @pytest.mark.parametrize("embed", [True, False], ids=["embedded", "outside"])
 def test_a_window_gives_the_bits_of_all_views(gpu, photos, whole, tmp_path, order, embed):
     path = made(gpu, fit(load_views(photos), order, embed=embed), tmp_path / "x.dressi")
@@ -161,6 +162,60 @@ def test_every_byte_is_what_numpy_makes_of_it(gpu):
     assert np.array_equal(found["table"], np.concatenate([table[rows[..., :3]], wanted[..., 3:]], -1))
     with ReferenceSession(p) as session:
         assert np.array_equal(session.get("plain").astype(np.float32), wanted)
+
+
+# ---- the gradient of all views, one at a time
+
+
+def fit_all(views, order, optimizer, **how):
+    problem = Problem(sphere(42, 0.7), views, order=order, albedo="texture", texture_size=(24, 16), **how)
+    problem.phase("shape", 3, {"vertices": optimizer(0.02)}, [Loss("silhouette"), Loss("laplacian", Schedule(0.1, 0.01, 3, "linear"))])
+    problem.phase("paint", 4, {"texture": optimizer(0.05)}, [Loss("color", masked=True)], Softness(1.0, delta=0.0))
+    return problem
+
+
+@pytest.fixture(scope="module")
+def six(photos):
+    """As many views as fill an atlas."""
+    views = load_views(photos)
+    return Views(np.asarray(views.images)[:6], views.cameras[:6], views.names[:6])
+
+
+@pytest.mark.parametrize("optimizer", [Adam, lambda rate: Sgd(rate, 0.9)], ids=["adam", "momentum"])
+def test_the_gradients_of_a_round_are_those_of_all_views_at_once(six, optimizer):
+    """In float64: parameters and moments after as many rounds as there were steps, and in between as they were."""
+    found = []
+    for order in ("batch", "accumulate"):
+        with ReferenceSession(fit_all(six, order, optimizer, whole=True).program) as session:
+            for phase, name in (("shape", "vertices"), ("paint", "texture")):
+                for _ in range(2):
+                    before = session.get(name)
+                    if order == "accumulate":
+                        session.step(5, phase)
+                        assert np.array_equal(session.get(name), before)
+                    session.step(1, phase)
+                    assert not np.array_equal(session.get(name), before)
+                    found.append({k: session.get(k) for k in session.values if k.startswith(("vertices", "texture"))})
+    assert all(x.keys() == y.keys() for x, y in zip(found[:4], found[4:]))
+    for x, y in zip(found[:4], found[4:]):
+        for name in x:
+            assert np.allclose(x[name], y[name], rtol=1e-9, atol=1e-12), name
+
+
+def test_rounds_on_a_device_give_what_all_views_at_once_give(gpu, six, tmp_path):
+    found = []
+    for order in ("batch", "accumulate"):
+        path = made(gpu, fit_all(six, order, Adam), tmp_path / f"{order}.dressi")
+        with runtime.load(path, gpu.device) as session:
+            assert [session.plans[phase]["steps"] for phase in session.phases] == ([3, 4] if order == "batch" else [18, 24])
+            for phase in session.phases:
+                session.step(session.plans[phase]["steps"], phase)
+            found.append((session.get("vertices"), session.get("texture")))
+            if order == "accumulate":
+                assert session.values["targets"]["count"] == 3 and session.report()["views_kept"] == {"paint": 6}
+    for x, y in zip(*found):
+        assert np.abs(x - y).max() < 2e-4 and np.abs(x - y).mean() < 1e-6
+    gpu.silent()
 
 
 # ---- what is kept of each view

@@ -85,7 +85,8 @@ class Problem:
     """mesh: positions, faces; for albedo "texture" uvs, for "colors" colours of vertices or corners (grey 0.5 where missing). views:
     targets and cameras, or a sequence of cameras (targets are then set on the session, shape (views, height, width, 4)).
 
-    order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one. shading "unlit" or "lambert" with `lights` and `normals`
+    order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one, "accumulate" one, too, with the gradient of all.
+    shading "unlit" or "lambert" with `lights` and `normals`
     "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices); `srgb` decodes the mesh's texture and colours, and encodes
     the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. judged: the
     start was asked for its sense already (`sense.check`). embed: whether the bundle has the pictures; memory: bytes for all images of the

@@ -9,8 +9,7 @@
     scene.output("look", color=seen.color, depth=seen.depth)
     scene.compile("vulkan_min", "ball.dressi")
 
-In: numbers, meshes, cameras. Out: a `Program` of plans: `<phase>` (updates), `<phase>.loss`, `<phase>.terms`, and what output() and
-vjp() name.
+In: numbers, meshes, cameras. Out: a `Program` of plans: `<phase>` (updates), `<phase>.loss`, `<phase>.terms`, what output() and vjp() name.
 """
 from __future__ import annotations
 
@@ -43,10 +42,11 @@ from ..render.schedule import Schedule
 from ..render.shadow import Deferred, ShadowMap, shadow_map
 from .layouts import layout_for, layout_of, pictures_layout
 from .limits import fits_program, profiles_of
+from .rounds import Round
 from .values import Parameter, ball_around, numbers
 from .where import caller, place
 
-ORDERS = ("batch", "cycle", "shuffle")
+ORDERS = ("batch", "cycle", "shuffle", "accumulate")
 ROUNDS = 64  # of a shuffle, before it begins again
 
 
@@ -71,6 +71,7 @@ class Scene:
         self.phases: list[str] = []
         self._frames: list[Frame] = []
         self._steps: dict[str, Node] = {}
+        self._rounds: dict[str, int] = {}  # by phase of order "accumulate"
         self.background = self._background(background)
         self.gain: Node | None = None  # factors of the colours of each view, a table of vec3
         self.surroundings: Environment | None = None  # shown behind all parts in place of the background, through `encode`
@@ -197,7 +198,7 @@ class Scene:
         return self._steps[phase]
 
     def view_of(self, step: Node, order: str, seed: int = 0) -> Node | None:
-        """The one view that a step sees, an int of extent 1x1; None for all of them: order "batch", "cycle" or "shuffle" (by seed)."""
+        """The one view that a step sees, an int of extent 1x1; None for all of them: one of ORDERS (seed: of "shuffle")."""
         if order not in ORDERS:
             raise InputError(f"order is {order!r:.40}; allowed: {' '.join(ORDERS)}")
         if order == "batch":
@@ -206,14 +207,15 @@ class Scene:
         return lookup(constant_table(table), apply("imod", step, len(table)))
 
     def order_of(self, order: str, seed: int = 0) -> np.ndarray:
-        """The view of each step, (n,), after which it begins again: order "cycle" or "shuffle"."""
+        """The view of each step, (n,), after which it begins again: of an order other than "batch"."""
         n, rng = len(self.cameras), np.random.default_rng(seed)
-        return np.concatenate([np.arange(n) if order == "cycle" else rng.permutation(n) for _ in range(1 if order == "cycle" else ROUNDS)])
+        return np.concatenate([rng.permutation(n) for _ in range(ROUNDS)]) if order == "shuffle" else np.arange(n)
 
     def frame(self, renderer: Renderer | None = None, *, phase: str | None = None, order: str = "batch", seed: int = 0,
               view: Node | None = None) -> Frame:
         """What the cameras see, by a renderer (`Outline()` unless given). With an order other than "batch" one view a step of `phase`; what
-        it is compared with is then `frame.at(pictures)`. view: which one is drawn, an int of extent 1x1, such as an input."""
+        it is compared with is then `frame.at(pictures)`. With "accumulate" parameters change after each round, by the mean of
+        its gradients. view: which one is drawn, an int of extent 1x1, such as an input."""
         if not self.cameras:
             raise InputError("no cameras; at least one view is needed")
         if not self.parts:
@@ -221,6 +223,7 @@ class Scene:
         if phase is None and order != "batch":
             raise InputError(f"order {order!r:.40} shows one view a step; name the phase whose steps these are")
         step = None if phase is None else self.step(phase)
+        self._rounds |= {phase: len(self.cameras)} if order == "accumulate" else {}
         chosen = self.view_of(step, order, seed) if view is None else view
         views, atlas = (self.views, self.atlas) if chosen is None else (self.views.choose(chosen), Atlas(self.width, self.height, 1, 1))
         parts = self.parts
@@ -252,9 +255,9 @@ class Scene:
 
     def terms(self, name: str, values: Mapping[str, Node]) -> None:
         """The plan of the terms of the phase that was added last, each an output `<name>.<term>`."""
-        last = self.program.plans[-1]
-        self.program.plan(f"{name}.terms", outputs={f"{name}.{key}": (value, Layout("unit", "float")) for key, value in values.items()},
-                          dynamic=last.dynamic, group=last.group)
+        last, unit = self.program.plans[-1], Layout("unit", "float")
+        outputs = {f"{name}.{key}": (value, unit) for key, value in values.items()}
+        self.program.plan(f"{name}.terms", outputs=outputs, dynamic=last.dynamic, group=last.group)
 
     def check_phase(self, name, steps, optimize, terms) -> None:
         if not isinstance(name, str) or name in self.phases or not name or "." in name:
@@ -269,7 +272,7 @@ class Scene:
 
     def minimize(self, name: str, steps: int, optimize: Mapping[str, Optimizer], terms: Mapping[str, tuple]) -> dict[str, Node]:
         """The plans of a phase: `<name>` and `<name>.loss`. terms: pairs of weight and value; gives the values as they are drawn."""
-        step, values = self.step(name), {}
+        values, around = {}, Round(self.program, name, self.step(name), self._rounds.get(name, 1))
         for key, (_, value) in terms.items():
             if not isinstance(value, Node) or value.vtype != "float" or value.extent != UNIT:
                 raise InputError(f"phase {name}: its term {key} ({caller()}) is {value!r:.80}; a float of extent 1x1 is needed, or a "
@@ -278,7 +281,7 @@ class Scene:
         values = dict(zip(values, self._settled(list(values.values()))))
         loss = None
         for key, (weight, _) in terms.items():
-            weighted = values[key] * Schedule.parse(weight, f"the weight of term {key}").node(step)
+            weighted = values[key] * Schedule.parse(weight, f"the weight of term {key}").node(around.turn)
             loss = weighted if loss is None else loss + weighted
         below, updates = set(topological([loss])), {}
         for key in optimize:
@@ -288,13 +291,12 @@ class Scene:
         for (key, optimizer), gradient in zip(optimize.items(), found):
             p = self.parameters[key]
             limits = {k: x for k, x in (("low", p.low), ("high", p.high), ("mask", p.free)) if x is not None}
-            updates |= optimizer.update(self.program, key, p.node, gradient, step, **limits)
-        updates[f"{name}.step"] = step + 1
+            updates |= around.updates(optimizer.update(self.program, key, p.node, around.mean(key, gradient), around.turn, **limits))
+        updates |= around.sums | {f"{name}.step": around.step + 1}
         dynamic = frozenset(updates)
-        self.program.plan(name, updates, dynamic=dynamic, steps=steps, group=name)
-        apart = name in self.program.turned  # what a step keeps of a view is not what the loss reads
-        self.program.plan(f"{name}.loss", outputs={f"{name}.loss": (loss, Layout("unit", "float"))},
-                          dynamic=None if apart else dynamic, group=f"{name}.loss" if apart else name)
+        self.program.plan(name, updates, dynamic=dynamic, steps=steps * around.views, group=name)
+        how = {"group": f"{name}.loss"} if name in self.program.turned else {"group": name, "dynamic": dynamic}  # reads what no step keeps
+        self.program.plan(f"{name}.loss", outputs={f"{name}.loss": (loss, Layout("unit", "float"))}, **how)
         self.phases.append(name)
         return values
 
