@@ -57,7 +57,7 @@ def fits_views(profiles: Sequence[Profile]) -> Callable[[int, int, int], None]:
                 needs = "lie side by side in one image" if count > 1 else "needs an image"
                 raise InputError(f"{what} {needs} of {extent.width}x{extent.height}; profile {profile.name} allows {across}x{down}; "
                                  f"use {' or '.join(help_) or 'fewer and smaller views'}"
-                                 + (", or views.order = \"shuffle\" or \"accumulate\", which have one at a time on the device" if count > 1 else ""))
+                                 + (", or views.order = \"shuffle\" or \"accumulate\": one at a time on the device" if count > 1 else ""))
         _fits_host(what, count * width * height)
     return check
 
