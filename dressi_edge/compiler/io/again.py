@@ -59,6 +59,8 @@ def reader(folder: str | Path, meta: Mapping | None, linear: bool) -> Callable[[
         found = [[_found(folder, name) for name in names.split("\n")] for names in meta["files"]]
         readings = [_photograph(r, files) for r, files in zip(meta["readings"], found, strict=True)]
         pictures = Pictures.known(readings, [tuple(r["to"]) for r in meta["readings"]], meta["digests"])
+    except InputError:  # of a file, not of the bundle
+        raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BundleError(f"meta.pictures is malformed ({error}); compile the bundle again") from None
     pictures.check()

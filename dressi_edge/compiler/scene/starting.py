@@ -238,6 +238,7 @@ def _text(folder: str, keys: Sequence[str], size: int, views: Views, mesh: str, 
         f"weight = {number[2]}", "",
         "[[phase]]", f'name = "{painted}"', f"steps = {steps[1]}", "r = 1.0", "delta = 0.0",
         f'optimize.{painted} = {{optimizer = "adam", rate = {{start = 0.05, end = 0.005}}}}',
+        "# optimize.gain = {rate = 0.003}".ljust(34) + "# where pictures were not exposed or balanced alike",
         "[[phase.loss]]", 'kind = "color"', "masked = true"]) + "\n"
 
 
