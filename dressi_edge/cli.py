@@ -127,7 +127,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("bundle", help="the bundle; or, with --device reference, a job")
     sub.add_argument("--steps", type=_steps, metavar="N", help="iterations of each phase, instead of the job's")
     sub.add_argument("--phase", metavar="P", help="run this phase alone")
-    sub.add_argument("-o", "--output", metavar="OUT", action="append", help="OUT.glb, .gltf, .obj or .ply: the mesh, with "
+    sub.add_argument("-o", "--output", metavar="OUT", action="append", help="OUT.glb, .gltf, .usdz, .obj or .ply: the mesh, with "
                      "OUT_sheet.png, OUT_loss.png and OUT_metrics.json beside it (needs the compiler's packages); OUT.npz: the states as "
                      "arrays; VALUE=OUT.png, .exr or .npy: one value of the bundle, such as render.color; several times")
     sub.add_argument("--checkpoint", metavar="FILE", help="go on from FILE where it exists, and keep it up to date")
@@ -142,7 +142,7 @@ def parser() -> argparse.ArgumentParser:
     device(sub, "; `reference` runs a job's graph in NumPy float64, in memory and slowly")
     emulation(sub)
     pinned(sub)
-    sub.add_argument("--scene", action="store_true", help="write lights and cameras into the glTF file, too")
+    sub.add_argument("--scene", action="store_true", help="write lights and cameras into the glTF file, or cameras into the .usdz, too")
     sub.add_argument("--explain", action="store_true", help="print which variant was taken and why, what ran how often, and what "
                      "the session occupies")
     form = sub.add_mutually_exclusive_group()

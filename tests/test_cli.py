@@ -265,7 +265,7 @@ def test_wrong_usage_is_exit_code_2(capsys, args, expected):
     (["compile", "job.toml", "-p", "lavapipe", "-o", "none/y.dressi"], "does not exist; create it first"),
     (["run", "none.dressi"], "none.dressi: cannot be read"), (["run", "job.toml"], "make a bundle of it first"),
     (["run", "x.dressi", "--phase", "shap"], "no phase of x.dressi; there are: shape paint"),
-    (["run", "x.dressi", "-o", "out.blend"], "extension .blend is unknown; known are .glb .gltf .obj .ply .npz"),
+    (["run", "x.dressi", "-o", "out.blend"], "extension .blend is unknown; known are .glb .gltf .obj .ply .usdz .npz"),
     (["run", "x.dressi", "-o", "none/out.glb"], "does not exist; create it first"),
     (["run", "x.dressi", "--device", "reference"], "runs a job (.toml)"),
     (["run", "photos/0.png"], "not a bundle"), (["inspect", "job.toml"], "not a bundle"),

@@ -76,7 +76,8 @@ def test_importing_it_loads_no_compiler_module(part):
     assert [m for m in loaded if within(m, ["dressi_edge.compiler", "PIL", "scipy"])] == []
 
 
-RUN_BY = {"check_op.py": {"dressi_edge.runtime"}}  # tests an op on a device
+RUN_BY = {"check_op.py": {"dressi_edge.runtime"},  # tests an op on a device
+          "write_usd.py": {"pxr"}}  # of the extra `usd`, asked for when a .usdz is written
 
 
 @pytest.mark.parametrize("part, ours, extras", [

@@ -81,7 +81,7 @@ def test_uvs_and_colours_without_texture_survive_glb(tmp_path):
 
 
 def test_wrong_places_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"extension .fbx is unknown; known are .glb, .gltf, .obj, .ply"):
+    with pytest.raises(InputError, match=r"extension .fbx is unknown; known are .glb, .gltf, .obj, .ply, .usdz"):
         save_mesh(tmp_path / "a.fbx", icosphere(1))
     with pytest.raises(InputError, match="directory .*lost does not exist"):
         save_mesh(tmp_path / "lost" / "a.glb", icosphere(1))

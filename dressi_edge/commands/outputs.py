@@ -4,6 +4,7 @@ In: the texts of the command line. Out: `Wanted`, which says before the work whe
 """
 from __future__ import annotations
 
+import importlib.util
 import io
 import os
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from ..cache.errors import InputError
 from ..cache.layout import is_int
 from .files import check_folder, write_file
 
-MESHES = (".glb", ".gltf", ".obj", ".ply")
+MESHES = (".glb", ".gltf", ".obj", ".ply", ".usdz")
 PICTURES = (".png", ".exr")
 ROLES = ("output", "state", "input")
 
@@ -93,6 +94,8 @@ def _file(path: str) -> Wanted:
     if suffix not in (*MESHES, ".npz"):
         raise InputError(f"output {path}: extension {suffix or 'none'} is unknown; known are {' '.join(MESHES)} .npz, and for one "
                          f"value, as VALUE=FILE, {' '.join(PICTURES)} .npy")
+    if suffix == ".usdz" and importlib.util.find_spec("pxr") is None:
+        raise InputError(f"output {path}: writing .usdz takes Pixar's library: pip install 'dressi_edge[usd]'")
     return Wanted(path, "arrays" if suffix == ".npz" else "mesh")
 
 

@@ -61,9 +61,9 @@ def _todo(session, args) -> list[tuple[str, int]]:
 def run(args) -> int:
     """The command; its exit code."""
     files = wanted(args.output or [])
-    if args.scene and not any(w.path.lower().endswith((".glb", ".gltf")) for w in files):
+    if args.scene and not any(w.path.lower().endswith((".glb", ".gltf", ".usdz")) for w in files):
         raise InputError("--scene writes lights and cameras into glTF; "
-                         f"-o {' '.join(args.output or ['nothing'])} is none: give a .glb or .gltf")
+                         f"-o {' '.join(args.output or ['nothing'])} is none: give a .glb, .gltf or .usdz")
     _check_paths(args)
     live = None
     if args.serve is not None:

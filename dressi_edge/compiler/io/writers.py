@@ -25,7 +25,7 @@ from .write_gltf import encode_gltf
 from .write_obj import encode_obj
 from .write_ply import encode_ply
 
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".usdz")
 BACKGROUND = 0.85  # light grey below transparent images, so that white and black both show
 COLORS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 
@@ -52,8 +52,8 @@ def save_json(path: str | Path, value: Mapping) -> None:
 
 
 def save_mesh(path: str | Path, mesh: Mesh, unlit: bool = False) -> None:
-    """Writes a mesh with its texture or, without one, its colours: as .glb or .gltf (texture inside), .obj or .ply (texture as .png beside,
-    with .mtl). Vertices keep their order and count; those that must be split, at seams, follow after the last.
+    """Writes a mesh with its texture or, without one, its colours: as .glb, .gltf or .usdz (texture inside), .obj or .ply (texture as
+    .png beside, with .mtl). Vertices keep their order and count; those that must be split, at seams, follow after the last.
 
     unlit: glTF says that the colours are what one sees (KHR_materials_unlit); else they are those of a diffuse surface.
     """
@@ -66,7 +66,7 @@ def save_parts(path: str | Path, parts: Sequence[Part], lights: Sequence[PlacedL
                cameras: Sequence[tuple[str, Camera]] = ()) -> None:
     """Writes parts with their materials, as `save_mesh` does; `Part.mesh` has the base colour's uvs and texels. OBJ has base colours,
     emission and the PBR extension; PLY has pictures and colours of vertices, times base colours. glTF has lights (KHR_lights_punctual) and
-    cameras with their names, too."""
+    cameras with their names, too; .usdz has cameras."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -77,6 +77,9 @@ def save_parts(path: str | Path, parts: Sequence[Part], lights: Sequence[PlacedL
     if suffix in (".obj", ".ply"):
         for name, data in (encode_obj if suffix == ".obj" else encode_ply)(parts, path.stem).items():  # what the mesh names before it
             write_bytes(path if name == f"{path.stem}{suffix}" else path.with_name(name), data)
+    elif suffix == ".usdz":
+        from .write_usd import encode_usdz  # takes a library that not everybody has
+        write_bytes(path, encode_usdz(parts, cameras))
     else:
         write_bytes(path, encode_gltf(parts, suffix == ".glb", lights, cameras))
 
