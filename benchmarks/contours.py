@@ -6,11 +6,12 @@ Meshes of several pieces or folds, painted by a smooth function of place; the lo
 caster in float64: 256 samples a pixel (64 in 256 x 256), nearest face in front, colour by perspective; central differences of half a pixel
 along 19 displacement fields of the vertices on screen (two translations, scale, 16 waves). Relative L2 error and cosine over the fields, of
 `Outline(r)` and of `Outline(r, contours=True)`, on lavapipe. `spot` needs DIR/meshes/spot/spot.obj, by default DIR is `shared` beside
-the checkout.
+the checkout. Where Mitsuba 3 is installed, its own estimate of the gradient by boundary samples is beside ours.
 """
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import platform
 import sys
@@ -118,8 +119,35 @@ def fields(screen):
     return np.array([f / np.linalg.norm(f, axis=1).max() for f in found])
 
 
+def mitsuba_gradient(positions, faces, camera, weight):
+    """Of the same picture times `weight` by vertex positions: a mesh that glows in its colours, by Mitsuba 3's projective sampling of
+    boundaries (Zhang et al. 2023) and ordinary samples inside."""
+    import drjit as dr
+    import mitsuba as mi
+    if mi.variant() is None:
+        mi.set_variant("llvm_ad_rgb")
+    settings = mi.Properties()
+    settings["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
+    shape = mi.Mesh("mesh", len(positions), len(faces), settings)
+    shape.add_attribute("vertex_color", 3, paint(positions).ravel().astype(np.float32))
+    values = mi.traverse(shape)
+    values["vertex_positions"], values["faces"] = np.ravel(positions).astype(np.float32), np.ravel(faces).astype(np.uint32)
+    values.update()
+    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    scene = mi.load_dict({
+        "type": "scene", "mesh": shape, "integrator": {"type": "direct_projective", "sppc": 64, "sppp": 256, "sppi": 0},
+        "sensor": {"type": "perspective", "fov": float(2 * np.degrees(np.arctan(camera.width / 2 / camera.fx))), "film": film,
+                   "to_world": mi.ScalarTransform4f(camera.camera_to_world * (-1, 1, -1, 1))}})  # looks along +z, x to the left
+    values = mi.traverse(scene)
+    key = next(key for key in values.keys() if key.endswith("vertex_positions"))
+    dr.enable_grad(values[key])
+    values.update()
+    dr.backward(dr.sum(mi.render(scene, values, spp=16).array * mi.Float(weight.ravel().astype(np.float32))))
+    return np.array(dr.grad(values[key]), np.float64).reshape(-1, 3)
+
+
 def measure(positions, faces, size, radii, device, folder):
-    """Rows: r, contours, error, cosine."""
+    """Rows: r, contours (or peer), error, cosine."""
     camera = look_at((0, 0, 4), (0, 0, 0), (0, 1, 0), 28, size, size)
     matrix = np.asarray(camera.world_to_camera)
     seen = positions @ matrix[:3, :3].T + matrix[:3, 3]
@@ -133,6 +161,15 @@ def measure(positions, faces, size, radii, device, folder):
         plus, minus = (picture(screen + s * STEP * field, depth, paint(positions), faces, size, samples) for s in (1, -1))
         truth.append(((plus - minus) * weight).sum() / (2 * STEP))
     truth, rows = np.array(truth), []
+    moved = along * depth[:, None] / scale  # of a pixel on screen, in the camera's axes
+
+    def compared(gradient, **what):
+        found = (moved @ matrix[:2, :3] * gradient).sum((1, 2))
+        rows.append({**what, "error": float(np.linalg.norm(found - truth) / np.linalg.norm(truth)),
+                     "cosine": float(found @ truth / np.linalg.norm(found) / np.linalg.norm(truth))})
+
+    if importlib.util.find_spec("mitsuba"):
+        compared(mitsuba_gradient(positions, faces, camera, weight), peer="mitsuba")
     for r in radii:
         for contours in (False, True):
             s = Scene([camera])
@@ -143,11 +180,7 @@ def measure(positions, faces, size, radii, device, folder):
             s.compile("lavapipe", path)
             with runtime.load(path, device) as session:
                 session.forward("v")
-                g = session.backward("v", color=weight[None])["positions"].astype(float)
-            moved = along * depth[:, None] / scale  # of a pixel on screen, in the camera's axes
-            found = (moved @ matrix[:2, :3] * g).sum((1, 2))
-            rows.append({"r": r, "contours": contours, "error": float(np.linalg.norm(found - truth) / np.linalg.norm(truth)),
-                         "cosine": float(found @ truth / np.linalg.norm(found) / np.linalg.norm(truth))})
+                compared(session.backward("v", color=weight[None])["positions"].astype(float), r=r, contours=contours)
     return rows
 
 
@@ -168,6 +201,10 @@ def main() -> None:
             for size in options.sizes:
                 found = measure(*mesh, size, options.radii, device, folder)
                 rows += [{"case": name, "size": size, **row} for row in found]
+                for row in found:
+                    if "peer" in row:
+                        print(f"| {name} | {size} | {row['peer']} | | {row['error']:.3f} | | {row['cosine']:.4f} |", flush=True)
+                found = [row for row in found if "peer" not in row]
                 for one, other in zip(found[::2], found[1::2]):
                     print(f"| {name} | {size} | {one['r']:g} | {one['error']:.3f} | {other['error']:.3f} | {one['cosine']:.4f} | "
                           f"{other['cosine']:.4f} |", flush=True)
