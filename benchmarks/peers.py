@@ -10,6 +10,7 @@ rays      rays through pixel centres: which pixels are hit, which face, attribut
 shading   Spot or the pear with a pattern as its texture under three lights, as Mitsuba's diffuse surface without visibility tests; sRGB
 gradient  of the weighted silhouette by vertex positions, along 24 smooth displacement fields: ours, Mitsuba's projective sampling of
           boundaries (Zhang et al. 2023), and the derivative of exactly covered area. Without Mitsuba ours and the latter
+pbr       metallic-roughness under a panorama and a lamp: peers_pbr.py
 algebra   SciPy: gather_sum, texture sampling, Laplacians, vertex normals and their transposes as sparse matrices; rotation vectors
 
 Everything of ours is fp32 on the device. A peer that is not installed is named and left out. Of the pixels that show another face than
@@ -34,6 +35,8 @@ import numpy as np
 from error_vs_time import Run, markdown
 from gradient_error import covered, weight
 from peers_algebra import area_normals, part_algebra, row
+from peers_pbr import part_pbr
+from peers_pbr import table as pbr_table
 from step import HARD, options_of, rounded, write
 from texture import pattern
 
@@ -51,7 +54,7 @@ from dressi_edge.compiler.render.raster import Softness, rasterized
 from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.compiler.scene.problem import Problem
 
-PARTS = ("rays", "shading", "gradient", "algebra")
+PARTS = ("rays", "shading", "pbr", "gradient", "algebra")
 EDGE = 1 / 256  # pixels
 INSTALLED = {name: importlib.util.find_spec(module) is not None for name, module in (("embree", "embreex"), ("mitsuba", "mitsuba"))}
 LIGHTS = (Light("directional", (2.0, 1.5, 1.0), (-0.4, -1.0, -0.3)), Light("point", (3.0, 4.0, 5.0), (1.0, 1.5, 2.0)),
@@ -256,6 +259,10 @@ def part_shading(run: Run) -> Iterator[dict]:
               start)
 
 
+def pbr(run: Run) -> Iterator[dict]:
+    return part_pbr(run, mitsuba if INSTALLED["mitsuba"] else None, mitsuba_mesh, pixel_rays)
+
+
 # ---- gradient
 
 def silhouette_gradient(mesh: Mesh, camera: Camera) -> Program:
@@ -323,6 +330,9 @@ def tables(results: list[dict]) -> str:
     out = []
     for part in PARTS:
         rows = [x for x in results if x["part"] == part]
+        if part == "pbr" and rows:
+            out.append(pbr_table(rows))
+            continue
         more = [key for key in ("hit", "differ", "at_edges", "furthest", "slope", "cosine") if any(key in x for x in rows)]
         out.append(markdown([part, "numbers", "median error", "worst", *more], [
             [x["case"], f"{x['count']}", *(("", "") if "differ" in x else (f"{x['median']:.1e}", f"{x['worst']:.1e}")),
@@ -339,7 +349,7 @@ def main(arguments: list[str] | None = None) -> None:
             print(f"{name} is not installed and left out: pip install '.[peers]'")
     peers = {name: importlib.metadata.version(name) for name, there in (("scipy", True), ("embreex", INSTALLED["embree"]),
                                                                         ("mitsuba", INSTALLED["mitsuba"])) if there}
-    parts = {"rays": part_rays, "shading": part_shading, "gradient": part_gradient, "algebra": part_algebra}
+    parts = {"rays": part_rays, "shading": part_shading, "pbr": pbr, "gradient": part_gradient, "algebra": part_algebra}
     with tempfile.TemporaryDirectory(prefix="dressi-peers-") as folder:
         run = Run(Path(folder), options)
         results = [row for part in options.part for row in parts[part](run)]

@@ -37,6 +37,15 @@ def test_hits_interpolation_coding_and_gradient_are_those_of_float64(tmp_path, m
         assert row["part"] != "gradient" or row["cosine"] > 0.95, row
 
 
+def test_materials_are_near_the_split_sum_and_lamps_the_closed_form(tmp_path, monkeypatch):
+    """Few samples: the split sum's integrals are known to a few percent, lamps need none."""
+    rows = run(tmp_path, monkeypatch, ["pbr"])
+    assert {row["peer"] for row in rows} == {"split", "own", "lamp, float64"} and len(rows) == 12
+    for row in rows:
+        limit = {"split": 0.04, "own": 0.3, "lamp, float64": 1e-4}[row["peer"]]
+        assert row["median"] < limit, row
+
+
 def test_sums_samples_and_their_transposes_are_scipys_sparse_matrices(tmp_path, monkeypatch):
     rows = run(tmp_path, monkeypatch, ["algebra"])
     assert len(rows) > 15

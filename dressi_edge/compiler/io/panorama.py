@@ -1,6 +1,6 @@
 """Panoramas: Radiance .hdr, OpenEXR, and pictures of 8 or 16 bits, as linear radiance.
 
-OpenEXR is read where it is scan lines that are not compressed, or by RLE or ZIP.
+OpenEXR is read where it is scan lines that are not compressed, or by RLE or ZIP; what else there is, by a library (`exr_library.py`).
 """
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...cache.errors import InputError, InputWarning
+from . import exr_library
 from .images import MAX_PIXELS, opened, srgb_to_linear
 from .text import read_bytes, shown
 
@@ -126,14 +127,15 @@ def read_exr(data: bytes, path: str | Path) -> np.ndarray:
     try:
         attributes, at = _exr_header(data)
         compression = attributes["compression"][0]
-        tiled = bool(data[5] & 0x1a)  # tiles, deep data, several parts
-        if tiled or compression not in _EXR_LINES:
-            raise InputError(f"{name} has {'tiles or several parts' if tiled else f'compression {_EXR_NAMES[compression]}'}; scan lines "
-                             "compressed by none, RLE, ZIPS or ZIP are read: save it so, or as .hdr")
+        if data[5] & 0x18:
+            raise InputError(f"{name} has several parts or deep data; one picture of scan lines or tiles is needed: save it so, or as .hdr")
         left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
         width, height = right - left + 1, bottom - top + 1
         if not (0 < width and 0 < height and width * height <= MAX_PIXELS):
             raise InputError(f"{name} is {width}x{height}; 1 to {MAX_PIXELS} pixels are allowed")
+        if data[5] & 0x02 or compression not in _EXR_LINES:
+            called = _EXR_NAMES[compression] if compression < len(_EXR_NAMES) else f"number {compression}"
+            return exr_library.read(path, "tiles" if data[5] & 0x02 else f"compression {called}", name)
         return _exr_lines(data, at, _exr_channels(attributes["channels"]), compression, width, height, top, name)
     except (KeyError, IndexError, ValueError, struct.error, zlib.error) as error:
         raise InputError(f"{name} cannot be read ({type(error).__name__}: {shown(error)}); save it again as .exr, compressed by "

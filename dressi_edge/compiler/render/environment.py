@@ -16,7 +16,9 @@ import numpy as np
 from ...cache.errors import GraphError, InputError
 from ..graph.functions import apply, channels, clamp, compose, concat, constant, gather_sum, maximum, select
 from ..graph.ir import UNIT, Node, image
+from ..graph.ops.lobes import between, scaled
 from ..graph.ops.lookup import constant_table
+from ..graph.optable import as_node
 from .camera import rotation_rows
 from .octahedron import SIZES, place
 from .prefilter import LEAST, ROUGHNESSES, Level, halving, layout, matrix
@@ -34,9 +36,10 @@ class Environment:
     rotation vector that turns the environment, three numbers or a vec3 of extent 1x1; strength: a factor, a number or a float or vec3 of
     extent 1x1.
 
-    gradient, of the map: "exact", by gathers: every level is sampled wherever a surface is, so that where geometry and normals rest the
-    gathers are found once, whatever roughness does. "none": two levels are sampled, those around the roughness. The values are the same,
-    and so are gradients by rotation, strength, roughness and normals. Given as an array, a map has none. Raises InputError, GraphError.
+    gradient, of the map: "exact", by gathers over every level, so that where geometry and normals rest the gathers are found once, whatever
+    roughness does; unless roughness is one number for all pixels every level is sampled, too. "none": two levels are sampled, those
+    around the roughness. The values are the same, and so are gradients by rotation, strength, roughness and normals. Given as an array,
+    a map has none. Raises InputError, GraphError.
     """
 
     map: Node | np.ndarray
@@ -95,22 +98,14 @@ class Environment:
             parts = [(levels[k], 1.0 - t), (levels[k + 1], t)]
             return self._scaled(_added([self._sampled(level, at, covered) * part for level, part in parts if part > 0.0]))
         r = clamp(roughness, 0.0, 1.0)
+        corners = tuple((x.n, x.x, x.y) for x in levels)
         if self.gradient == "none":
-            # Which two levels: a choice, without gradient. What differs from one to the next is looked up in sums of steps.
-            before = [select(r >= low, 1.0, 0.0) for low in ROUGHNESSES[1:-1]]
-
-            def chosen(values) -> Node:
-                total = float(values[0])
-                for there, step in zip(before, np.diff(values)):
-                    total = total + there * float(step)
-                return total
-
-            t = (r - chosen(ROUGHNESSES[:-1])) * chosen(1.0 / steps)
-            pair = []
-            for side in (levels[:-1], levels[1:]):
-                n, corner = chosen([x.n for x in side]), compose(chosen([x.x for x in side]), chosen([x.y for x in side]))
-                pair.append(self._at(at * n + corner, covered))
-            return self._scaled(pair[0] + (pair[1] - pair[0]) * t)
+            t, sides = between(r, ROUGHNESSES, list(zip(*corners)))
+            low, high = (self._at(at * n + compose(x, y), covered) for n, x, y in sides)
+            return self._scaled(low + (high - low) * t)
+        if r.extent == UNIT:
+            mask = apply("broadcast", as_node(1), extent=at.extent) if covered is None else covered
+            return self._scaled(apply("sample_lobes", self.levels, at, r, mask, corners=corners, knots=ROUGHNESSES))
         weights = []
         for k, middle in enumerate(ROUGHNESSES):
             rising = (r - ROUGHNESSES[k - 1]) * (1.0 / steps[k - 1]) if k else None
@@ -141,7 +136,7 @@ class Environment:
         """texel: places within a level from the corner of its rim, in texels, but for the rim itself. By fetches, whatever the gradient:
         the filters of devices have weights of 8 bits."""
         e = self.levels.extent
-        uv = texel * compose(1.0 / e.width, 1.0 / e.height) + compose(1.0 / e.width, 1.0 / e.height)
+        uv = scaled(texel, e)
         levels = self.levels if self.gradient == "exact" else apply("stop_gradient", self.levels)
         return sample_texture(levels, uv, "clamp", covered=covered)
 

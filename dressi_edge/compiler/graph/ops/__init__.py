@@ -10,6 +10,7 @@ from . import (
     inverse_uv,
     join,
     leaf,
+    lobes,
     lookup,
     matrix,
     mip_gradient,

@@ -25,8 +25,9 @@ MANY = 1 << 14  # pixels from which those that sample nothing are not sorted: an
 LANE = 16  # entries a lane sums where a texel has more on average
 
 
-def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> Node:
-    """The gradient of a texture of `extent` sampled at `uv` where `covered`, from the gradient of the samples."""
+def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str, asked: Node | None = None) -> Node:
+    """The gradient of a texture of `extent` sampled at `uv` where `covered`, from the gradient of the samples. asked: an int; where it is 0
+    nothing is added up, whatever the lists hold."""
     footprint = apply("texture_footprint", uv, covered, width=extent.width, height=extent.height, wrap=wrap)
     if footprint.extent.count >= MANY and covered.extent == footprint.extent:
         listed = compact(apply("not_equal", covered, 0), 1)
@@ -36,7 +37,8 @@ def transpose(g: Node, uv: Node, covered: Node, extent: Extent, wrap: str) -> No
         ordered = _merged(apply("texture_keys", footprint, width=extent.width, count=footprint.extent.count))
         bins = apply("texture_bins", ordered, extent=extent)
     rows = apply("texture_rows", bins)
-    return _gathered(g, rows, apply("texture_list", rows, bins, ordered, footprint), 4 * footprint.extent.count)
+    entries = apply("texture_list", rows, bins, ordered, footprint)
+    return _gathered(g, rows if asked is None else apply("select", asked, rows, 0), entries, 4 * footprint.extent.count)
 
 
 def sorted_list(footprint: Node, width: int, listed: Compact) -> Node:
