@@ -15,7 +15,7 @@ from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, compose, dot, lookup, total
 from dressi_edge.compiler.graph.ir import table
-from dressi_edge.compiler.graph.ops import tile_lists
+from dressi_edge.compiler.graph.ops import soft, tile_lists
 from dressi_edge.compiler.graph.ops.bins import Grid
 from dressi_edge.compiler.graph.ops.tile_lists import bin_faces
 from dressi_edge.compiler.graph.reference import evaluate
@@ -294,6 +294,44 @@ def test_the_size_of_tiles_changes_no_bit(gpu, tile):
         gpu.silent()
     for a, b in zip(*found):
         np.testing.assert_array_equal(a, b)
+
+
+def test_a_list_in_parts_is_the_same_picture(gpu, monkeypatch):
+    """Where a list is too long for one invocation several go through it; where it is too long for all there is no picture."""
+    found = []
+    for each in (1 << 20, 7, 2):
+        monkeypatch.setattr(soft, "EACH", each)
+        s, f = painted(Binned(3.0, gamma=1e-2, depth=RANGE), (97, 75), 2)
+        s.vjp("look", ["vertices", "colors"], color=f.color, alpha=f.alpha)
+        with runtime.load(gpu.compile(s.program), gpu.device) as d:
+            seen = d.forward("look")
+            by = {} if each == 2 else d.backward("look", color=np.sin(1e3 * np.arange(seen["color"].size)).reshape(seen["color"].shape),
+                                                 alpha=np.ones_like(seen["alpha"]))
+        found.append({**seen, **by})
+        gpu.silent()
+    for name in found[0]:
+        scale = np.abs(found[0][name]).max()
+        assert scale > 0.1
+        np.testing.assert_allclose(found[1][name], found[0][name], atol=2e-5 * scale, rtol=1e-4, err_msg=name)
+    bad = ~np.isfinite(found[2]["alpha"])
+    assert 0.05 < bad.mean() < 0.9 and not np.isfinite(found[2]["color"][bad]).any()
+    np.testing.assert_allclose(found[2]["alpha"][~bad], found[0]["alpha"][~bad], atol=1e-5)
+
+
+def test_a_hundred_thousand_faces_in_one_tile_are_all_counted(gpu):
+    """More than llvmpipe lets one invocation look at: 1250 balls at one place, of which the first half is dark and the second is bright."""
+    ball, n = icosphere(1, 0.7), 1250
+    mesh = Mesh(np.tile(ball.positions, (n, 1)), np.concatenate([ball.faces + k * len(ball.positions) for k in range(n)]))
+    s = Scene(orbit(1, [0], 30.0, 36, (72, 56)), BACK)
+    colors = s.parameter("colors", np.repeat([0.2, 0.8], len(mesh.positions) // 2)[:, None].repeat(3, 1))
+    s.add(mesh, material=Unlit(Vertex(colors)))
+    f = s.frame(Binned(2.0, gamma=1e-2, depth=(1.0, 50.0)))
+    s.output("look", color=f.color, alpha=f.alpha, longest=f.fragments.lists.pairs)
+    with runtime.load(gpu.compile(s.program), gpu.device) as d:
+        color, alpha, pairs = d.get("look.color")[0], d.get("look.alpha")[0], d.get("look.longest")
+    gpu.silent()
+    assert pairs >= len(mesh.faces) and (alpha > 0.999).sum() > 4
+    np.testing.assert_allclose(color[alpha > 0.999], 0.5, atol=1e-3)
 
 
 # Scenes

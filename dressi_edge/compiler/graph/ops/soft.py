@@ -18,7 +18,7 @@ from ..ir import UNIT, Extent, Node, image
 from ..optable import Loop, apply, at, op
 from . import soft_reference as reference
 from .bins import Grid
-from .lookup import constant_table, to_table
+from .lookup import constant, constant_table, to_table
 from .soft_glsl import ADD_WEIGHTS, BY_DISTANCE, BY_WEIGHTS, FUNCTIONS, GEOMETRY, NEXT, OVER_BOX, TILE, WEIGHTS
 from .soft_mask import soft_masks
 from .tile_lists import bin_faces
@@ -49,7 +49,8 @@ _CORNER = "({corner} == 0 ? g0_ : {corner} == 1 ? g1_ : g2_)"
 
 _CELLS = "cell_w cell_h columns face_count"
 PAIR = _CELLS + " radius sigma squared hard_only nearest"
-LISTED = "extent views tiles_x tiles_y tile_w tile_h"
+_TILES = "extent views tiles_x tiles_y tile_w tile_h"
+LISTED = _TILES + " first each"
 _DEPTH = " gamma base"
 
 
@@ -84,8 +85,12 @@ def pair_attrs(grid: Grid, radius: float, sigma: float, squared: bool, hard_only
             "sigma": float(sigma), "squared": int(squared), "hard_only": int(hard_only), "nearest": float(nearest)}
 
 
-def listed_attrs(grid: Grid, extent) -> dict:
-    """Attributes of the ops that go through lists."""
+def listed_attrs(grid: Grid, extent, part: int = 0) -> dict:
+    """Attributes of the ops that go through lists, those of a part of each list."""
+    return {"first": part * EACH, "each": EACH, **_tiles_attrs(grid, extent)}
+
+
+def _tiles_attrs(grid: Grid, extent) -> dict:
     return {"extent": extent, "views": grid.views, "tiles_x": grid.tiles[0], "tiles_y": grid.tiles[1], "tile_w": grid.tile[0],
             "tile_h": grid.tile[1]}
 
@@ -187,6 +192,43 @@ def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
     return found
 
 
+EACH = TURNS // 3  # entries of a list that one invocation goes through, at two to three turns each
+
+
+def list_length(ranges: Node, grid: Grid, extent) -> Node:
+    """How many entries the list of each pixel's tile has."""
+    cells = {"cell_w": grid.cell_w, "cell_h": grid.cell_h, "columns": grid.columns}
+    return apply("soft_length", ranges, **_tiles_attrs(grid, extent), **cells)
+
+
+def _length_ref(ranges, extent, views, tiles_x, tiles_y, tile_w, tile_h, cell_w, cell_h, columns):
+    y, x = np.indices((extent.height, extent.width))
+    view = y // cell_h * columns + x // cell_w
+    tile = (view * tiles_y + y % cell_h // tile_h) * tiles_x + x % cell_w // tile_w
+    flat = ranges.reshape(-1, 2)
+    found = flat[np.minimum(tile, len(flat) - 1)]
+    return np.where(view < views, found[..., 1] - found[..., 0], 0)[..., None]
+
+
+def _length_sample(rng):
+    ranges = np.sort(rng.integers(0, 99, (_GRID.views * _GRID.tiles[0] * _GRID.tiles[1], 2)), 1)
+    cells = {"cell_w": _GRID.cell_w, "cell_h": _GRID.cell_h, "columns": _GRID.columns}
+    return [to_table(ranges)], {**_tiles_attrs(_GRID, image(26, 11)), **cells}
+
+
+def _length_infer(name, inputs, attrs):
+    return over_pixels("int", 0)(name, inputs, attrs)
+
+
+op("soft_length", "ranges", attrs=f"{_TILES} cell_w cell_h columns", infer=_length_infer, reads="texel", ref=_length_ref, cost=12,
+   sample=_length_sample,
+   glsl="""{ ivec2 cell_ = {p} / ivec2({cell_w}, {cell_h}), in_ = {p} - cell_ * ivec2({cell_w}, {cell_h});
+    int view_ = cell_.y * {columns} + cell_.x, tile_ = (view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w};
+    ivec2 r_ = {ranges_at}(view_ < {views} ? tile_ : 0);
+    {y} = view_ < {views} ? r_.y - r_.x : 0; }""",
+   doc="How many entries the list of each pixel's tile has.")
+
+
 def _alpha_vjp(g, y, v0, v1, v2, boxes, *lists, **attrs):
     pair = {k: attrs[k] for k in PAIR.split()}
     slope = g * (1.0 - y)
@@ -200,6 +242,24 @@ op("soft_alpha", "v0 v1 v2 boxes ranges faces masks spilled", attrs=f"{LISTED} {
    loop=Loop(_ALPHA, "{y} = 1.0 - clear_;", "} }"),
    doc="1 - prod(1 - D) over the faces of the pixel's list that cover it or are within `radius`; D: the sigmoid of the signed distance (or "
        "its square) to the nearest edge over sigma, or with `hard_only` 1 for what covers the pixel.")
+
+
+def _whole_vjp(g, y, alpha, v0, v1, v2, boxes, **pair):
+    where = v0, v1, v2, boxes, g * (1.0 - alpha)
+    return (None, *(_by_bands("soft_alpha_gradient", where, corner=k, **pair) for k in range(3)), None)
+
+
+def _whole_sample(rng):
+    arguments, attrs = sample_of(False)(rng)
+    alpha = reference.soft_alpha(*arguments, **attrs)
+    nodes = [constant_table(x.reshape(-1, x.shape[2])[:_GRID.views * _GRID.faces]) for x in arguments[:4]]
+    return [constant(alpha), *nodes], {k: attrs[k] for k in PAIR.split()}
+
+
+op("soft_whole", "alpha v0 v1 v2 boxes", attrs=PAIR, reads="own texel texel texel texel", cost=1, sample=_whole_sample,
+   infer=lambda name, inputs, attrs: (inputs[0].vtype, inputs[0].extent), ref=lambda alpha, *_, **attrs: alpha, vjp=_whole_vjp,
+   glsl="{y} = {alpha};",
+   doc="alpha, of which it is known that it is that of soft_alpha over all of these faces: gradients by their corners come from here.")
 
 
 def _alpha_gradient_sample(rng):

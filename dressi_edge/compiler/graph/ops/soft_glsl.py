@@ -79,7 +79,8 @@ int view_ = cell_.y * {columns} + cell_.x;
 bool spilled_ = {spilled}(ivec2(0)) != 0;
 ivec2 tile_ = ivec2({tile_w}, {tile_h}), in_tile_ = (in_ % tile_) / ((tile_ + 7) / 8);
 int quarter_ = in_tile_.y / 4 * 2 + in_tile_.x / 4, bit_ = (in_tile_.y & 3) * 4 + (in_tile_.x & 3);
-ivec2 range_ = view_ < {views} ? {ranges_at}((view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w}) : ivec2(0);
+ivec2 all_ = view_ < {views} ? {ranges_at}((view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w}) : ivec2(0);
+ivec2 range_ = min(all_.x + ivec2({first}, {first} + {each}), all_.y);
 vec2 q_ = vec2(in_) + 0.5 - 0.5 * vec2(ivec2({cell_w}, {cell_h}));
 """
 

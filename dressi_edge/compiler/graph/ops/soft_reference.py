@@ -167,9 +167,22 @@ def _pairs(face, ys, xs, v, q, radius, sigma, squared, hard_only, nearest) -> tu
     return Pairs(*parts), near
 
 
+def _of_part(p: Pairs, ranges, faces, first, each, views, tiles_x, tiles_y, tile_w, tile_h, cell_w, cell_h, columns, **_) -> Pairs:
+    """Those pairs whose entries are from `first` on, `each` at most, in the lists of their tiles."""
+    if not first and each >= faces.size:
+        return p
+    view = p.ys // cell_h * columns + p.xs // cell_w
+    tile = (view * tiles_y + p.ys % cell_h // tile_h) * tiles_x + p.xs % cell_w // tile_w
+    keep, flat, spans = np.zeros(len(p.face), bool), faces.reshape(-1), ranges.reshape(-1, 2)
+    for t in np.unique(tile):
+        own, (begin, end) = tile == t, spans[t]
+        keep[own] = np.isin(p.face[own], flat[min(begin + first, end):min(begin + first + each, end)])
+    return Pairs(*(x[keep] for x in p))
+
+
 def soft_alpha(v0, v1, v2, boxes, ranges, faces, masks, spilled, extent, **attrs):
     """1 - prod(1 - D)."""
-    p = near_pairs(v0, v1, v2, boxes, **attrs)
+    p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
     clear = np.ones((extent.height, extent.width))
     np.multiply.at(clear, (p.ys, p.xs), p.clear)
     return (1 - clear)[..., None]
@@ -187,7 +200,7 @@ def _colors(p: Pairs, *tables):
 
 def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, gamma, base, **attrs):
     """Sums of weighted colours and of weights."""
-    p = near_pairs(v0, v1, v2, boxes, **attrs)
+    p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
     _, w = _weights(p, extent, gamma, base)
     out = np.zeros((extent.height, extent.width, 4))
     seen = (p.weights[..., None] * _colors(p, c0, c1, c2)).sum(1)
@@ -197,7 +210,7 @@ def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, exte
 
 def soft_most(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, gamma, base, **attrs):
     """The largest depth (0 where there is no face), and alpha."""
-    p = near_pairs(v0, v1, v2, boxes, **attrs)
+    p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
     some = np.zeros((extent.height, extent.width), bool)
     some[p.ys, p.xs] = True
     most, _ = _weights(p, extent, gamma, base)

@@ -15,8 +15,9 @@ import numpy as np
 from ....cache.errors import InputError
 from ...graph.functions import absolute, apply, clamp, compose, constant, constant_table, lookup, select
 from ...graph.ir import UNIT, Node, table
+from ...graph.ops import soft
 from ...graph.ops.bins import Grid
-from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
+from ...graph.ops.soft import LEAST, TURNS, list_length, listed_attrs, pair_attrs
 from ...graph.ops.soft_mask import soft_masks
 from ...graph.ops.tile_lists import Binned as Lists
 from ...graph.ops.tile_lists import bin_faces
@@ -24,11 +25,12 @@ from ...graph.optable import as_node
 from ..atlas import Atlas
 from ..camera import ViewTable
 from ..topology import Topology
-from .fragments import Fragments, Layer, Span, screen_segments
+from .fragments import Fragments, Layer, Span, near_faces, screen_segments
 from .softness import Softness
 
 FARTHEST = 1e8  # pixels from the middle of the picture
 OWN, MOST = 4, 8  # faces of a pixel that are shaded there: where a material asks for it, and at most
+PARTS = 8  # of lists that are too long for one invocation, at most
 
 
 @dataclass(frozen=True)
@@ -181,6 +183,50 @@ class BinnedFragments(Fragments):
             return Lists(faces, tiles, where, as_node(views * n), as_node(1))
         return bin_faces(self.boxes, self.grid, self.settings.pairs, 0.0 if self.settings.hard else self.settings.r)
 
+    @cached_property
+    def _length(self) -> Node:
+        return list_length(self.lists.ranges, self.grid, self.atlas.extent)
+
+    @property
+    def parts(self) -> int:
+        """How many invocations go through the list of a pixel, one after the other, each through so many entries as are allowed."""
+        return 1 if self.settings.tile is None else min(PARTS, -(-self.grid.faces // soft.EACH))
+
+    def _in_parts(self, name: str, inputs: Sequence[Node], **more) -> list[Node]:
+        """An op over the lists, of each part of them; of the second and further ones only in tiles whose lists are so long."""
+        where, _ = self._listed
+        found = []
+        for part in range(self.parts):
+            y = apply(name, *inputs, *where, **listed_attrs(self.grid, self.atlas.extent, part), **self.pair, **more)
+            found.append(y if part == 0 else near_faces(select(self._length > part * soft.EACH, 0, -1), y, apart=True))
+        return found
+
+    def _sure(self, y: Node) -> Node:
+        """The value; infinite or no number where a list is longer than all parts: no picture rather than part of one."""
+        if self.parts * soft.EACH >= self.grid.faces:
+            return y
+        return y / select(self._length > self.parts * soft.EACH, 0.0, 1.0)
+
+    def _alpha_of(self, alphas: Sequence[Node]) -> Node:
+        """Of all parts together."""
+        clear = 1.0 - alphas[0]
+        for alpha in alphas[1:]:
+            clear = clear * (1.0 - alpha)
+        return self._sure(1.0 - clear)
+
+    def _together(self, sums: Sequence[Node], most: Sequence[Node]) -> tuple[Node, Node]:
+        """The sums and the largest depth of all parts."""
+        if len(sums) == 1:
+            return sums[0], most[0]
+        total, nearest = sums[0], most[0].x
+        for s, m in zip(sums[1:], most[1:]):
+            before = select(nearest < 0.0, nearest, -1e30)
+            after = select(m.x < 0.0, m.x, -1e30)
+            top = apply("max", before, after)
+            shares = [apply("exp", apply("max", (x - top) * (1.0 / self.settings.gamma), -1e4)) for x in (before, after)]
+            total, nearest = total * shares[0] + s * shares[1], select(top > -1e29, top, 0.0)
+        return self._sure(total), compose(nearest, self._alpha_of([m.y for m in most]))
+
     @property
     def _listed(self) -> tuple[tuple[Node, ...], dict]:
         lists = self.boxes, self.lists.ranges, self.lists.faces, self._masks, self.lists.spilled
@@ -198,8 +244,11 @@ class BinnedFragments(Fragments):
         """1 - prod(1 - D) of all faces."""
         if self.blend is not None:
             return self.blend.w
-        where, attrs = self._listed
-        return apply("soft_alpha", *self.places, *where, **attrs)
+        alphas = self._in_parts("soft_alpha", self.places)
+        if len(alphas) == 1:
+            return alphas[0]
+        whole = self._alpha_of([apply("stop_gradient", x) for x in alphas])
+        return apply("soft_whole", whole, *self.places, self.boxes, **self.pair)
 
     def color(self, shaded: Sequence[Node], background: Node | float, own: Sequence[Node] = ()) -> Node:
         """Colours of the three corners, vec3 tables of views x faces, as all faces blend over a background. own: colours of the first
@@ -209,10 +258,10 @@ class BinnedFragments(Fragments):
                              f"got {list(shaded)!r:.80}")
         background = background if isinstance(background, Node) and background.channels == 3 else compose(*[background] * 3)
         shaded = [x if x.extent == self._table else apply("broadcast", x, extent=self._table) for x in shaded]
-        where, attrs = self._listed
         depth = {"gamma": float(self.settings.gamma), "base": float(self.range.base)}
         inputs = *self.places, *shaded
-        sums, most = (apply(name, *inputs, *where, **attrs, **depth, least=LEAST - self.range.base) for name in ("soft_sums", "soft_most"))
+        sums, most = self._together(*(self._in_parts(name, inputs, **depth, least=LEAST - self.range.base)
+                                      for name in ("soft_sums", "soft_most")))
         sums = apply("stop_gradient", sums)  # gradients by the corners come from soft_blend
         if own:
             more = self._more(shaded, own, most)
