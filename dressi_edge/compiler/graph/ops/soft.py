@@ -192,7 +192,7 @@ def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
     return found
 
 
-EACH = TURNS // 3  # entries of a list that one invocation goes through, at two to three turns each
+EACH = TURNS // 5  # entries of a list that one invocation goes through, at no more than five turns each
 
 
 def list_length(ranges: Node, grid: Grid, extent) -> Node:

@@ -30,7 +30,7 @@ from .softness import Softness
 
 FARTHEST = 1e8  # pixels from the middle of the picture
 OWN, MOST = 4, 8  # faces of a pixel that are shaded there: where a material asks for it, and at most
-PARTS = 8  # of lists that are too long for one invocation, at most
+PARTS = 16  # of lists that are too long for one invocation, at most
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,12 @@ class BinnedFragments(Fragments):
         found = []
         for part in range(self.parts):
             y = apply(name, *inputs, *where, **listed_attrs(self.grid, self.atlas.extent, part), **self.pair, **more)
-            found.append(y if part == 0 else near_faces(select(self._length > part * soft.EACH, 0, -1), y, apart=True))
+            found.append(y if part == 0 else self._where_long(part, y))
         return found
+
+    def _where_long(self, part: int, y: Node) -> Node:
+        """The value in tiles whose lists have a part of this number, worked out there alone; anything elsewhere."""
+        return near_faces(select(self._length > part * soft.EACH, 0, -1), y, apart=True)
 
     def _sure(self, y: Node) -> Node:
         """The value; infinite or no number where a list is longer than all parts: no picture rather than part of one."""
@@ -225,7 +229,9 @@ class BinnedFragments(Fragments):
             top = apply("max", before, after)
             shares = [apply("exp", apply("max", (x - top) * (1.0 / self.settings.gamma), -1e4)) for x in (before, after)]
             total, nearest = total * shares[0] + s * shares[1], select(top > -1e29, top, 0.0)
-        return self._sure(total), compose(nearest, self._alpha_of([m.y for m in most]))
+        several = self._sure(total), compose(nearest, self._alpha_of([m.y for m in most]))
+        long = self._length > soft.EACH
+        return tuple(select(long, self._where_long(1, y), one) for y, one in zip(several, (sums[0], most[0])))
 
     @property
     def _listed(self) -> tuple[tuple[Node, ...], dict]:
@@ -247,7 +253,8 @@ class BinnedFragments(Fragments):
         alphas = self._in_parts("soft_alpha", self.places)
         if len(alphas) == 1:
             return alphas[0]
-        whole = self._alpha_of([apply("stop_gradient", x) for x in alphas])
+        alphas = [apply("stop_gradient", x) for x in alphas]
+        whole = select(self._length > soft.EACH, self._where_long(1, self._alpha_of(alphas)), alphas[0])
         return apply("soft_whole", whole, *self.places, self.boxes, **self.pair)
 
     def color(self, shaded: Sequence[Node], background: Node | float, own: Sequence[Node] = ()) -> Node:
