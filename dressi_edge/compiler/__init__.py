@@ -101,7 +101,7 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
         groups = tuple(find_lists(group, program, profile, options.lists) for group in groups)
     if options.cache and not options.naive:
         groups = checked("listed", tuple(map(find_still, groups)))
-        groups = checked("ordered", tuple(in_order(group, program) for group in groups))
+        groups = checked("ordered", tuple(in_order(group, program, profile) for group in groups))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
     packed = [PackedPlan(plan, tuple(pack(plan.roots, profile, options.naive, options.stage_packing))) for plan in graphs]

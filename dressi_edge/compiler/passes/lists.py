@@ -36,7 +36,7 @@ class _Dense(Exception):
 
 def find_lists(group: Group, program: Program, profile: Profile, least: int) -> Group:
     """The plans of a group on lists, for images of at least so many texels, in images of as many rows as the profile draws to."""
-    specs, rooted, rows = group.specs, list(group.roots), _rows(profile)
+    specs, rooted, rows = group.specs, list(group.roots), rows_of(profile)
     lists, told = [], {}
     phases = [k for k, spec in enumerate(specs) if spec.updates]
     for k in phases:
@@ -70,15 +70,15 @@ def find_lists(group: Group, program: Program, profile: Profile, least: int) -> 
                    told={spec.name: told for spec in specs if spec.updates and told})
 
 
-def _rows(profile: Profile) -> int:
+def rows_of(profile: Profile) -> int:
     """The most rows of an image that is drawn to."""
     limit = profile.limit
     return min(limit("maxImageDimension2D"), limit("maxFramebufferHeight"), limit("maxViewportDimensions")[1], MAX_ROWS)
 
 
-def _list_extent(e: Extent, rows: int) -> Extent:
-    """Room for every texel: one column if that needs at most so many rows, so that what is near in number is near in memory."""
-    width, height = table_size(e.width * e.height, COLUMN, rows)
+def list_extent(entries: int, rows: int) -> Extent:
+    """Room for so many: one column if that needs at most so many rows, so that what is near in number is near in memory."""
+    width, height = table_size(entries, COLUMN, rows)
     return Extent(width, height, width * height)
 
 
@@ -162,7 +162,7 @@ class _Body:
         used = flags[0]
         for flag in flags[1:]:
             used = apply("bit_or", used, flag)
-        found = compact(used, 1, _list_extent(self.extent, rows))
+        found = compact(used, 1, list_extent(self.extent.width * self.extent.height, rows))
         extent = found.entries.extent
         enter: dict[Node, Node] = {}
         kept: dict[Node, Node] = {}

@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from ...cache.profile import Profile
 from ..graph.ir import UNIT, Extent, Node, intern, is_int, rebuild, topological
 from ..graph.optable import OWN, TILE, apply, as_node
 from ..graph.program import Program
 from .constants import constant_value
 from .groups import Group
+from .lists import list_extent, rows_of
 from .specialize import dependence
 
 
@@ -21,29 +23,38 @@ class _Elsewhere(Exception):
     """A value is worked out of more than its own pixel."""
 
 
-def in_order(group: Group, program: Program) -> Group:
+def in_order(group: Group, program: Program, profile: Profile) -> Group:
     """The plans of a group; of one that does not see a view at a time, or where pixels are not listed, as they were."""
     if group.name not in program.turned:
         return group
     dynamic = frozenset().union(*(spec.dynamic for spec in group.specs))
-    return replace(group, roots=tuple(_reordered(roots, dynamic) for roots in group.roots))
+    return replace(group, roots=tuple(_reordered(roots, dynamic, rows_of(profile)) for roots in group.roots))
 
 
-def _reordered(roots: tuple[Node, ...], dynamic: frozenset[str]) -> tuple[Node, ...]:
+def _reordered(roots: tuple[Node, ...], dynamic: frozenset[str], rows: int) -> tuple[Node, ...]:
     names = dependence(roots)
     new: dict[Node, Node] = {}
+    long: dict[Extent, Extent] = {}  # lists in one column where a profile has the rows: as much is kept as there is, not whole columns
     for n in topological(roots):
         how = n.op.ordered(n) if n.op.ordered else None
         if how is not None:
             there = _There(how.pixels, n.inputs[0].extent, names, dynamic)
             try:
                 new[n] = how.total(there.value(n.inputs[0]), there.value)
+                e = how.pixels.extent
+                long[e] = replace(list_extent(e.width * e.height, rows), partial=e.partial)
             except _Elsewhere:
                 pass
     if not new:
         return roots
     made = rebuild(roots, lambda n, inputs: new[n] if n in new else intern(n.op, inputs, n.attrs, n.vtype, n.extent))
-    return tuple(made[root] for root in roots)
+
+    def laid(n: Node, inputs: tuple[Node, ...]) -> Node:
+        attrs = {k: long.get(x, x) if isinstance(x, Extent) else x for k, x in n.attrs.items()}
+        return intern(n.op, inputs, attrs, n.vtype, long.get(n.extent, n.extent))
+
+    placed = rebuild([made[root] for root in roots], laid)
+    return tuple(placed[made[root]] for root in roots)
 
 
 class _There:
