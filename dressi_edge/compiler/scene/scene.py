@@ -43,7 +43,7 @@ from ..render.shadow import Deferred, ShadowMap, shadow_map
 from .layouts import layout_for, layout_of, pictures_layout
 from .limits import fits_program, profiles_of
 from .rounds import Round
-from .values import Parameter, ball_around, numbers
+from .values import Parameter, ball_around, numbers, padded
 from .where import caller, place
 
 ORDERS = ("batch", "cycle", "shuffle", "accumulate")
@@ -112,18 +112,7 @@ class Scene:
     def padded(self, pictures: Sequence[np.ndarray], fill: float = 0.0) -> np.ndarray:
         """Pictures (h, w) or (h, w, c), each of its camera's size, as one array (views, height, width[, c]): each in the upper left corner
         of its view, `fill` beside it. Raises InputError."""
-        arrays = [numbers(f"picture {k}", x) for k, x in enumerate(pictures)]
-        if len(arrays) != len(self.cameras):
-            raise InputError(f"{len(arrays)} pictures for {len(self.cameras)} cameras; one for each is needed")
-        tail = arrays[0].shape[2:]
-        for k, (x, c) in enumerate(zip(arrays, self.cameras)):
-            if x.shape != (c.height, c.width, *tail) or len(tail) > 1:
-                raise InputError(f"picture {k} has shape {x.shape}; its camera's is {(c.height, c.width)}, with as many channels as the "
-                                 "others have")
-        out = np.full((len(arrays), self.height, self.width, *tail), float(fill))
-        for view, x in zip(out, arrays):
-            view[:x.shape[0], :x.shape[1]] = x
-        return out
+        return padded(pictures, self.cameras, (self.width, self.height), fill)
 
     def _background(self, background) -> Node:
         if isinstance(background, (list, tuple)) and any(np.ndim(x) > 1 for x in background):

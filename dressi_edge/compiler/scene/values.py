@@ -12,6 +12,7 @@ from ..graph.ir import Node
 from ..graph.ops.reduce import mean
 from ..graph.program import Program
 from ..graph.reference import evaluate
+from ..io.cameras import Camera
 from ..io.mesh import middle_of
 from ..render.part import Part
 
@@ -71,3 +72,19 @@ def ball_around(parts: Sequence[Part], program: Program) -> tuple[np.ndarray, fl
     points = np.concatenate([x.reshape(-1, 3)[:len(part.mesh.positions)] for x, part in zip(rows, parts)])
     middle = middle_of(points)
     return middle, 1.25 * max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
+
+
+def padded(pictures: Sequence[np.ndarray], cameras: Sequence[Camera], size: tuple[int, int], fill: float) -> np.ndarray:
+    """`Scene.padded`; size: (width, height) of what each lies in."""
+    arrays = [numbers(f"picture {k}", x) for k, x in enumerate(pictures)]
+    if len(arrays) != len(cameras):
+        raise InputError(f"{len(arrays)} pictures for {len(cameras)} cameras; one for each is needed")
+    tail = arrays[0].shape[2:]
+    for k, (x, c) in enumerate(zip(arrays, cameras)):
+        if x.shape != (c.height, c.width, *tail) or len(tail) > 1:
+            raise InputError(f"picture {k} has shape {x.shape}; its camera's is {(c.height, c.width)}, with as many channels as the "
+                             "others have")
+    out = np.full((len(arrays), size[1], size[0], *tail), float(fill))
+    for view, x in zip(out, arrays):
+        view[:x.shape[0], :x.shape[1]] = x
+    return out
