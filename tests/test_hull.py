@@ -158,6 +158,21 @@ def test_evening_keeps_topology_however_few_are_asked_for():
         evened(fine.positions, fine.faces.astype(np.int64), 4)
 
 
+def test_what_one_mask_lacks_may_be_kept():
+    """A scratch through the middle of one mask becomes a gorge or a handle; with `misses` the ball is the ball again, and the ring's hole,
+    which many views look through, stays."""
+    views = implicit_views(ball, AROUND)
+    images = views.images.copy()
+    images[3, 30:38, 25:55, 3] = 0.0
+    scratched = Views(images, views.cameras, views.names)
+    worn, kept = visual_hull(scratched, 362), visual_hull(scratched, 362, misses=1)
+    radius = {name: np.linalg.norm(m.positions - (0.2, 0.1, -0.1), axis=1) for name, m in (("worn", worn), ("kept", kept))}
+    assert radius["worn"].min() < 0.5 and 0.68 < radius["kept"].min() and radius["kept"].max() < 0.8, radius
+    assert genus_of(kept.faces) == [0] and genus_of(visual_hull(RING, 600, misses=1).faces) == [1]
+    with pytest.raises(InputError, match="misses is 15, of 16 masks; 0 to 14 is allowed"):
+        visual_hull(views, 362, misses=15)
+
+
 def test_loose_parts_are_left_out_and_said_but_two_things_stay_two():
     def crumb(p):
         return np.maximum(ball(p), 0.08 - np.linalg.norm(p - (-0.9, 0.6, 0.5), axis=-1))

@@ -73,16 +73,21 @@ def rims(views: Views) -> list[Rim]:
     return found
 
 
-def depth(of: Sequence[Rim], points: np.ndarray, floor: float = -np.inf) -> np.ndarray:
+def depth(of: Sequence[Rim], points: np.ndarray, floor: float = -np.inf, misses: int = 0) -> np.ndarray:
     """(n,) of points (n, 3): how deep they are in the hull, negative outside; somewhere below `floor` where they are less deep than that.
-    What no view shows is outside."""
-    out = np.full(len(points), np.inf, np.float32)
+    What no view shows is outside. misses: so many views may lack a point: their least depths do not count."""
+    out = np.empty(len(points), np.float32)
     for k in range(0, len(points), CHUNK):
-        least, left = out[k:k + CHUNK], np.arange(len(out[k:k + CHUNK]))
+        part = points[k:k + CHUNK]
+        least, left = np.full((misses + 1, len(part)), np.inf, np.float32), np.arange(len(part))  # the least first
         for rim in of:
-            least[left] = np.minimum(least[left], rim.depth(points[k + left]))
-            left = left[least[left] >= floor]
-        least[~np.isfinite(least)] = -np.inf
+            new = rim.depth(part[left])
+            for row in least:
+                old = row[left]
+                row[left], new = np.minimum(old, new), np.maximum(old, new)
+            left = left[least[-1, left] >= floor]
+        found = np.where(np.isfinite(least[-1]), least[-1], least[0])  # of what so few views see, all count
+        out[k:k + CHUNK] = np.where(np.isfinite(found), found, -np.inf)
     return out
 
 
@@ -93,15 +98,15 @@ def grid(low: np.ndarray, high: np.ndarray, step: float) -> tuple[np.ndarray, tu
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), counts
 
 
-def bounds(of: Sequence[Rim]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner (3,) of a box around the hull. Raises InputError where the masks have nothing in common, or do not bound
-    it."""
+def bounds(of: Sequence[Rim], misses: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner (3,) of a box around the hull (`depth`). Raises InputError where the masks have nothing in common, or do
+    not bound it."""
     middle, radius = _guess(of)
     low, high = middle - radius, middle + radius
     for _ in range(ROUNDS):
         step = float((high - low).max()) / COARSE
         points, _ = grid(low, high, step)
-        inside = depth(of, points, -0.87 * step) > -0.87 * step  # a cell's half diagonal: nothing thinner is lost
+        inside = depth(of, points, -0.87 * step, misses) > -0.87 * step  # a cell's half diagonal: nothing thinner is lost
         if not inside.any():
             raise InputError("the masks have no point in common: cameras and masks do not belong together, or a mask lacks the object")
         a, b = points[inside].min(axis=0) - step, points[inside].max(axis=0) + step

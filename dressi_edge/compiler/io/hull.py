@@ -16,28 +16,31 @@ MOST = 320  # cells a side
 SHARE = 0.02  # of the surface, what a part must have to stay
 
 
-def visual_hull(views: Views, vertices: int = 2562) -> Mesh:
+def visual_hull(views: Views, vertices: int = 2562, misses: int = 0) -> Mesh:
     """The hull of the masks of two views or more, as a closed mesh of about `vertices` vertices with uvs. Small loose parts are left out,
-    which a note says. Raises InputError where the masks bound nothing, or the libraries of the extra `hull` are not installed."""
+    which a note says. misses: what so many masks lack, all others having it, is not carved away. Raises InputError where the masks bound
+    nothing, there are not two more of them than `misses`, or the libraries of the extra `hull` are not installed."""
     of = rims(views)
-    low, high = bounds(of)
+    if not 0 <= misses <= len(of) - 2:
+        raise InputError(f"misses is {misses}, of {len(of)} masks; 0 to {len(of) - 2} is allowed")
+    low, high = bounds(of, misses)
     coarse = float((high - low).max()) / 48
-    positions, faces = _surface(of, low, high, coarse)
+    positions, faces = _surface(of, low, high, coarse, misses)
     a, b, c = positions[faces.T]
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
     step = max(np.sqrt(1.5 * area / (FINER * vertices)), float((high - low).max()) / MOST)
-    positions, faces = _largest(*_surface(of, low, high, step))
+    positions, faces = _largest(*_surface(of, low, high, step, misses))
     if len(positions) > vertices:
         positions, faces = evened(positions, faces, vertices)
     charts = unwrapped(positions, faces)
     return Mesh(positions, faces, charts.uvs, charts.uv_faces)
 
 
-def _surface(of, low: np.ndarray, high: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _surface(of, low: np.ndarray, high: np.ndarray, step: float, misses: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions and faces, outwards, of where the depth is 0."""
     measure = needed("skimage.measure")
     points, counts = grid(low - step, high + step, step)
-    field = np.clip(depth(of, points, -2.0 * step), -2.0 * step, 2.0 * step).reshape(counts)
+    field = np.clip(depth(of, points, -2.0 * step, misses), -2.0 * step, 2.0 * step).reshape(counts)
     for axis in range(3):  # closed at the box, whatever lies there
         field[(slice(None),) * axis + ([0, -1],)] = -2.0 * step
     if not (field > 0.0).any():

@@ -77,13 +77,14 @@ def mesh_of(t: Table, folder: Path) -> Callable[[Callable[[], Views]], Mesh]:
         if scaled:
             raise t.conflict("normalize is for path; a sphere has its radius, a hull its place")
         hull = bool(t.has("hull"))
-        ball = t.table("hull", ("vertices",)) if hull else t.table("sphere", ("vertices", "radius"))
+        ball = t.table("hull", ("vertices", "misses")) if hull else t.table("sphere", ("vertices", "radius"))
         vertices = ball.number("vertices", 2562, 100 if hull else 4, 100_000 if hull else 700_000, whole=True)
+        misses = ball.number("misses", 0, 0, 1000, whole=True) if hull else 0
         radius = 1.0 if hull else ball.number("radius", 1.0, 0.0, above=True)
 
     def make(views: Callable[[], Views]) -> Mesh:
         if file is None:
-            mesh = ball.checked(visual_hull, views(), vertices) if hull else ball.checked(sphere, vertices, radius)
+            mesh = ball.checked(visual_hull, views(), vertices, misses) if hull else ball.checked(sphere, vertices, radius)
             return mesh if texture is None else replace(mesh, texture=t.checked(load_texture, texture))
         mesh = t.checked(load_mesh, file, texture)
         if scaled:
