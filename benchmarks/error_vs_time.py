@@ -10,7 +10,7 @@ texture   Spot, two views; the gradient of the colour loss by the texture agains
           the exact one and for inverse UV, of one step and of the mean of 64. Time: a step, with the shape at rest and moving
 fit       sphere to Spot as in sphere_to_spot.py, but the target is coverage: drawn hard at four times the size and averaged. Mean
           distance to the true surface after several numbers of iterations
-layers    distance and K by r (the paper's Figures 11 and 12): a sphere of 1280 faces becomes the bunny by silhouettes of 24 views of
+layers    distance, K, every face, by r (the paper's Figures 11, 12): a sphere of 1280 faces becomes the bunny by silhouettes of 24 views of
           128x128, one a step in random order, 2500 steps with the schedules of reconstruct.py, sigma = r / 7
 speed     a step of each of those, in turns
 
@@ -52,7 +52,7 @@ from dressi_edge.compiler.io.meshes import Mesh, load_mesh, normalize
 from dressi_edge.compiler.io.shapes import icosphere, pear
 from dressi_edge.compiler.render.atlas import Atlas
 from dressi_edge.compiler.render.optimizer import Adam, Sgd
-from dressi_edge.compiler.render.raster import Softness, rasterized
+from dressi_edge.compiler.render.raster import Binned, Softness, rasterized
 from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.compiler.scene.problem import Loss, Problem
 
@@ -65,11 +65,11 @@ CURVES = (("outline", 1, 1.0), ("outline", 1, 2.0), ("outline", 1, 8.0), ("face"
 
 
 def name_of(distance: str, k: int) -> str:
-    return "outline" if distance == "outline" else f"face K={k}"
+    return distance if distance in ("outline", "binned") else f"face K={k}"
 
 
-def softness_of(distance: str, k: int, r: float, sigma: float | None = None) -> Softness:
-    return Softness(r, sigma, layers=k, distance=distance)
+def softness_of(distance: str, k: int, r: float, sigma: float | None = None) -> Softness | Binned:
+    return Binned(r, sigma) if distance == "binned" else Softness(r, sigma, layers=k, distance=distance)
 
 
 class Run:
@@ -281,13 +281,13 @@ def part_fit(run: Run) -> Iterator[dict]:
 def layers_cases(run: Run) -> Iterator[tuple[str, str, int, float]]:
     """(name, distance, K, r) of the grid."""
     for k in (1,) if run.options.quick else run.options.layers:
-        for distance in ("outline",) if run.options.quick else ("outline", "face") if k == 1 else ("face",):
+        for distance in ("outline", "binned") if run.options.quick else ("outline", "face", "binned") if k == 1 else ("face",):
             for r in (2.0,) if run.options.quick else run.options.radii:
                 if run.wants(case := f"{name_of(distance, k)}, r {r:g}"):
                     yield case, distance, k, r
 
 
-def layers_problem(run: Run, softness: Softness) -> Problem:
+def layers_problem(run: Run, softness: Softness | Binned) -> Problem:
     quick, recipe = run.options.quick, Recipe(**RECIPES["spot"])
     steps, size = (20, 32) if quick else (2500, 128)
     seen = orbit(24, (20.0, -20.0, 50.0, 0.0), 2.5, 50.0, (size, size))

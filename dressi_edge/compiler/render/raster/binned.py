@@ -30,7 +30,7 @@ from .softness import Softness
 
 FARTHEST = 1e8  # pixels from the middle of the picture
 OWN, MOST = 4, 8  # faces of a pixel that are shaded there: where a material asks for it, and at most
-PARTS = 16  # of lists that are too long for one invocation, at most
+PARTS = 4  # of lists that are too long for one invocation, at most
 
 
 @dataclass(frozen=True)
