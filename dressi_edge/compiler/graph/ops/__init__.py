@@ -23,6 +23,7 @@ from . import (
     reduce,
     scan,
     soft,
+    soft_length,
     soft_mask,
     soft_pair,
     stencil,

@@ -195,40 +195,6 @@ def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
 EACH = TURNS // 5  # entries of a list that one invocation goes through, at no more than five turns each
 
 
-def list_length(ranges: Node, grid: Grid, extent) -> Node:
-    """How many entries the list of each pixel's tile has."""
-    cells = {"cell_w": grid.cell_w, "cell_h": grid.cell_h, "columns": grid.columns}
-    return apply("soft_length", ranges, **_tiles_attrs(grid, extent), **cells)
-
-
-def _length_ref(ranges, extent, views, tiles_x, tiles_y, tile_w, tile_h, cell_w, cell_h, columns):
-    y, x = np.indices((extent.height, extent.width))
-    view = y // cell_h * columns + x // cell_w
-    tile = (view * tiles_y + y % cell_h // tile_h) * tiles_x + x % cell_w // tile_w
-    flat = ranges.reshape(-1, 2)
-    found = flat[np.minimum(tile, len(flat) - 1)]
-    return np.where(view < views, found[..., 1] - found[..., 0], 0)[..., None]
-
-
-def _length_sample(rng):
-    ranges = np.sort(rng.integers(0, 99, (_GRID.views * _GRID.tiles[0] * _GRID.tiles[1], 2)), 1)
-    cells = {"cell_w": _GRID.cell_w, "cell_h": _GRID.cell_h, "columns": _GRID.columns}
-    return [to_table(ranges)], {**_tiles_attrs(_GRID, image(26, 11)), **cells}
-
-
-def _length_infer(name, inputs, attrs):
-    return over_pixels("int", 0)(name, inputs, attrs)
-
-
-op("soft_length", "ranges", attrs=f"{_TILES} cell_w cell_h columns", infer=_length_infer, reads="texel", ref=_length_ref, cost=12,
-   sample=_length_sample,
-   glsl="""{ ivec2 cell_ = {p} / ivec2({cell_w}, {cell_h}), in_ = {p} - cell_ * ivec2({cell_w}, {cell_h});
-    int view_ = cell_.y * {columns} + cell_.x, tile_ = (view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w};
-    ivec2 r_ = {ranges_at}(view_ < {views} ? tile_ : 0);
-    {y} = view_ < {views} ? r_.y - r_.x : 0; }""",
-   doc="How many entries the list of each pixel's tile has.")
-
-
 def _alpha_vjp(g, y, v0, v1, v2, boxes, *lists, **attrs):
     pair = {k: attrs[k] for k in PAIR.split()}
     slope = g * (1.0 - y)

@@ -17,7 +17,9 @@ from ...graph.functions import absolute, apply, clamp, compose, constant, consta
 from ...graph.ir import UNIT, Node, table
 from ...graph.ops import soft
 from ...graph.ops.bins import Grid
-from ...graph.ops.soft import LEAST, TURNS, list_length, listed_attrs, pair_attrs
+from ...graph.ops.reduce import TILE
+from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
+from ...graph.ops.soft_length import list_length, long_lists
 from ...graph.ops.soft_mask import soft_masks
 from ...graph.ops.tile_lists import Binned as Lists
 from ...graph.ops.tile_lists import bin_faces
@@ -25,7 +27,7 @@ from ...graph.optable import as_node
 from ..atlas import Atlas
 from ..camera import ViewTable
 from ..topology import Topology
-from .fragments import Fragments, Layer, Span, near_faces, screen_segments
+from .fragments import Fragments, Layer, Span, screen_segments
 from .softness import Softness
 
 FARTHEST = 1e8  # pixels from the middle of the picture
@@ -203,7 +205,8 @@ class BinnedFragments(Fragments):
 
     def _where_long(self, part: int, y: Node) -> Node:
         """The value in tiles whose lists have a part of this number, worked out there alone; anything elsewhere."""
-        return near_faces(select(self._length > part * soft.EACH, 0, -1), y, apart=True)
+        tiles = long_lists(self.lists.ranges, self.grid, self.atlas.extent, part * soft.EACH)
+        return apply("inside_tiles", y, tiles, tile=(TILE, TILE), apart=True)
 
     def _sure(self, y: Node) -> Node:
         """The value; infinite or no number where a list is longer than all parts: no picture rather than part of one."""
