@@ -3,7 +3,8 @@
     python benchmarks/asset_normals.py [--quick] [--asset FILE] [--size N] [--views N] [--steps N] [--data DIR] [--json FILE] ...
 
 Pictures are drawn with the file's own map, the fit begins flat. PSNR of the pictures and angle of the normals that are shaded with, over
-all pixels of the object, before and after; ms a step. Asset: DIR/meshes/avocado, with a map of 512x512 texels, if none is named.
+all pixels of the object, before and after; ms a step. Asset: DIR/meshes/avocado, with a map of 512x512 texels, if none is named; with
+--made, or where that is not there, a pear whose bumps are a map of 1024x1024, written as glTF first.
 """
 
 from __future__ import annotations
@@ -12,13 +13,18 @@ import argparse
 import statistics
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 from step import options_of, rounded, table, write
 
 from dressi_edge import runtime
-from dressi_edge.compiler.scene import Adam, F, HardSoftRas, Light, Schedule, l2, load_parts, load_scene, look_at, orbit, save_png
+from dressi_edge.compiler.io.materials import Material, Part, TextureMap
+from dressi_edge.compiler.io.textures import Picture
+from dressi_edge.compiler.io.writers import save_parts
+from dressi_edge.compiler.scene import Adam, F, HardSoftRas, Light, Schedule, l2, load_parts, load_scene, look_at, orbit, pear, save_png
 
 LIGHTS = [Light("directional", 2.0, d) for d in ((-1, -0.6, -0.5), (0.8, -0.5, -0.8), (0.1, -0.7, 1.0), (0.3, 1.0, -0.2))]
 FLAT = (0.5, 0.5, 1.0)
@@ -30,6 +36,20 @@ def cameras_of(positions: np.ndarray, views: int, size: int) -> list:
     middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
     eyes = [np.linalg.inv(c.world_to_camera)[:3, 3] for c in orbit(views, [25, -20], 2.6 * radius, 40, (size, size))]
     return [look_at(middle + eye, middle, (0, 1, 0), 40, size, size, near=0.1 * radius, far=10 * radius) for eye in eyes]
+
+
+def made(folder: Path, texels: int) -> Path:
+    """A glTF file of a pear whose map of normals has bumps of several sizes."""
+    y, x = np.mgrid[:texels, :texels] / texels * 2 * np.pi
+    right = 0.5 * np.cos(12 * x) * np.sin(10 * y) + 0.3 * np.cos(40 * x + 9 * y) + 0.15 * np.cos(110 * x - 60 * y)
+    down = 0.5 * np.sin(12 * x) * np.cos(10 * y) + 0.3 * np.cos(40 * x + 9 * y + 1) + 0.15 * np.cos(110 * x - 60 * y + 2)
+    normal = np.stack([-right, down, np.ones_like(x)], -1)
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    Image.fromarray(np.round((normal * 0.5 + 0.5) * 255).astype(np.uint8)).save(folder / "bumps.png")
+    mesh, bumps = pear(64), TextureMap(Picture("bumps", folder / "bumps.png"))
+    material = Material("pear", (0.7, 0.6, 0.3, 1.0), None, 0.0, 0.6, normal_texture=bumps, stated=True)
+    save_parts(folder / "pear.glb", [Part("pear", replace(mesh, texture=None), material, {0: (mesh.uvs, mesh.uv_faces)})])
+    return folder / "pear.glb"
 
 
 def looks(session) -> dict:
@@ -74,16 +94,19 @@ def fitted(asset: Path, views: int, size: int, steps: int, options: argparse.Nam
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--asset", type=Path, help="a glTF file of one part with a map of normals")
+    parser.add_argument("--made", action="store_true", help="take the pear")
     parser.add_argument("--size", type=int, default=256, help="of the pictures")
     parser.add_argument("--views", type=int, default=6)
     parser.add_argument("--steps", type=int, default=80)
     parser.add_argument("--out", type=Path, help="a folder for the picture")
     options = options_of(parser, arguments)
     asset = options.asset or options.data / "meshes" / "avocado" / "Avocado.gltf"
-    if not asset.is_file():
-        raise SystemExit(f"{asset} is not there; name a file with --asset")
+    if options.asset and not asset.is_file():
+        raise SystemExit(f"{asset} is not there")
     size, views, steps = (32, 2, 3) if options.quick else (options.size, options.views, options.steps)
     with tempfile.TemporaryDirectory(prefix="dressi-normals-") as folder:
+        if options.made or not asset.is_file():
+            asset = made(Path(folder), 64 if options.quick else 1024)
         row, report = fitted(asset, views, size, steps, options, Path(folder))
         if options.out:
             (options.out / "asset_normals.png").write_bytes((Path(folder) / "asset_normals.png").read_bytes())

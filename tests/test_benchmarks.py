@@ -190,6 +190,12 @@ def test_mips_quick(tmp_path):
 
 
 @pytest.mark.full
+def test_asset_normals_of_a_file_that_is_made(tmp_path):
+    asset_normals.main(["--quick", "--json", str(tmp_path / "out.json"), "--data", str(tmp_path)])
+    row, = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert row["case"].startswith("pear, 2 views") and row["psnr_after"] > row["psnr_before"]
+
+
 def test_asset_normals_quick(tmp_path, shared_dir):
     asset_normals.main(["--quick", "--json", str(tmp_path / "out.json"), "--data", str(shared_dir)])
     row, = json.loads((tmp_path / "out.json").read_text())["results"]

@@ -25,6 +25,9 @@ SMALL = {  # what is given to main(), and what its numbers must say
     "lbfgs": ({"size": 48, "steps": 60}, lambda r: r["start"]["degrees"] > 50 and r["end"]["degrees"] < 6 and r["end"]["colors"] < 0.12),
     "hidden": ({"size": 40, "steps": 100}, lambda r: r["behind"]["binned"] < 0.6 < 1.5 < min(r["behind"]["outline"], r["behind"]["K3"])
                and r["far"]["outline"] < 0.2 * r["far"]["start"]),
+    "inverse_rendering": ({"size": 32, "steps": 25, "rounds": 1}, lambda r: all(
+        x["psnr"][1] > x["psnr"][0] + 4 and x["metal"][1] < 0.97 * x["metal"][0] for x in r.values())
+        and r["together"]["shape"][1] < 0.6 * r["together"]["shape"][0]),
     "numpy_loop": ({"size": 48, "steps": 40}, lambda r: r["end"] < r["start"] / 500),
 }
 
