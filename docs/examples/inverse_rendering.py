@@ -55,7 +55,8 @@ def surface(texels):
 
 def main(folder=".", size=64, steps=150, rounds=3, texels=(48, 32)):
     """For "known" (shape and sky) and "together": PSNR of the pictures at the start and at the end, mean errors of colour and metal, and of
-    roughness where the thing is of metal (elsewhere hardly anything shows it); of the latter also mean distances of vertices from the true shape along the radius, and PSNR of the sky (peak 4)."""
+    roughness where the thing is of metal; of the latter also mean distances of vertices from the true shape along the radius, and PSNR of
+    the sky (peak 4)."""
     ball, cameras, sky = sphere(642, 0.8), orbit(8, [25, -25, 5], 2.8, 40, (size, size)), octahedral(panorama(), SKY)
     true, (color, maps), result, rows = lumpy(ball), surface(texels), {}, []
     for case in ("known", "together"):
@@ -93,10 +94,12 @@ def main(folder=".", size=64, steps=150, rounds=3, texels=(48, 32)):
                 session.step(steps, "surface")
             found = {name: session.get(name) for name in start} | {"color": session.get("look.color")}
         inside = wanted["alpha"] > 0.5
+        shown = (found["base"] != start["base"]).any(-1)  # texels that some pixel shows
+        shiny = shown & (maps[..., 2] > 0.5)
         psnr = [float(-10 * np.log10(((p - wanted["color"])[inside] ** 2).mean())) for p in (before, found["color"])]
-        result[case] = {"psnr": psnr, "base": float(np.abs(found["base"] - color).mean()),
+        result[case] = {"psnr": psnr, "base": [float(np.abs(at["base"] - color)[shown].mean()) for at in (start, found)],
                         **{name: [float(np.abs(at[..., k] - maps[..., k])[where].mean()) for at in (start["maps"], found["maps"])]
-                           for k, name, where in ((1, "roughness", maps[..., 2] > 0.5), (2, "metal", maps[..., 2] >= 0))}}
+                           for k, name, where in ((1, "roughness", shiny), (2, "metal", shown))}}
         if not known:
             radius = [np.linalg.norm(p, axis=1) for p in (start["vertices"], found["vertices"], true.positions)]
             result[case] |= {"shape": [float(np.abs(r - radius[2]).mean()) for r in radius[:2]],
