@@ -40,7 +40,8 @@ def capture(name: str) -> Profile:
     source = found.sources["*"]["source"] + ("" if driver.executes else ", without hardware (mesa-drm-shim)")
     kept = Profile.load(name) if (ROOT / "device_profiles" / f"{name}.json").exists() else found
     own = {key: value for key, value in kept.sources.items() if key not in ("*", *OWN)}
-    return replace(kept, description=what, limits=found.limits, features=found.features, formats=found.formats, date=found.date,
+    limits = {**found.limits, **{key: kept.limits[key] for key in own if key in found.limits}}  # lower than the device's, with a reason
+    return replace(kept, description=what, limits=limits, features=found.features, formats=found.formats, date=found.date,
                    table_width=found.table_width, api_version=found.api_version,
                    sources={"*": {"source": source, "status": "measured"}} | OWN | own)
 
