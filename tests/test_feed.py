@@ -603,7 +603,7 @@ def test_pictures_that_are_no_longer_there_are_one_line(gpu, photos, tmp_path, c
         lines = capsys.readouterr().err.strip().splitlines()
         assert len(lines) == 1 and lines[0].startswith("dressi-edge: ") and "malformed" not in lines[0]
         with pytest.raises(InputError, match=told):
-            raise InputError(lines[0])
+            raise InputError(lines[0].removeprefix("dressi-edge: "))
 
 
 @pytest.mark.parametrize(("key", "value"), [
