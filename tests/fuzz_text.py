@@ -218,6 +218,7 @@ class _Unbuilt:
     def __init__(self, mesh, views, **_):
         self.width, self.height = views.cameras[0].width, views.cameras[0].height
         self.program = type("Program", (), {"meta": {}})
+        self.scene = type("Scene", (), {"parameters": {}, "program": self.program})
         assert np.isfinite(mesh.positions).all() and np.isfinite(views.images).all()
 
     def phase(self, *_, **__):

@@ -226,7 +226,7 @@ def test_debug_and_dump_show_what_was_compiled(tmp_path):
     names = {p.name for p in (tmp_path / "dump").iterdir()}
     assert {"stages.dot", "shader000.vert"} <= names
     assert [name.split("-")[1][:-4] for name in sorted(names) if "-" in name] == [
-        "built", "simplified", "banded", "listed", "specialized", "stored", "packed", "placed", "shaders", "described"]
+        "built", "simplified", "banded", "listed", "ordered", "specialized", "stored", "packed", "placed", "shaders", "described"]
 
 
 def test_profiles_are_listed_shown_checked_merged_and_captured(tmp_path, capsys):

@@ -36,7 +36,8 @@ def test_an_atlas_is_made_wider_where_it_would_be_too_high():
 
 @pytest.mark.parametrize("count, size, told", [
     (110, (400, 400), "110 views of 400x400 lie side by side in one image of 4000x4400; profile vulkan_min allows 4096x4096; "
-                      "use at most 100 views or views.size = [372, 372] or smaller, or views.order = \"shuffle\", which has one at a time"),
+                      "use at most 100 views or views.size = [372, 372] or smaller, or views.order = \"shuffle\" or "
+                      "\"accumulate\": one at a time on the device"),
     (1, (6000, 4000), "1 view of 6000x4000 needs an image of 6000x4000; profile vulkan_min allows 4096x4096; "
                       "use views.size = [4096, 2730] or smaller"),
     (10 ** 6, (100, 100), "use at most 1600 views or views.size = [4, 4] or smaller")])

@@ -71,7 +71,8 @@ def test_every_row_has_its_place_in_these_tests():
     leaves = {o.name for o in OPS.values() if o.stage in ("leaf", "inline")}
     assert leaves == {"literal", "constant", "input", "state", "cached"}
     assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "kernel", "composite"}
-    assert {o.name for o in OPS.values() if o.stage == "composite"} == {"sum", "exclusive_scan", "bincount"}
+    assert {o.name for o in OPS.values() if o.stage == "composite"} == {
+        "sum", "exclusive_scan", "bincount", "sample_mips", "sample_lobes"}
     assert all((o.kernel is not None) == (o.stage == "kernel") for o in OPS.values())
     assert {"rasterize", "rasterize_covered", "rasterize_first", "rasterize_hard", "rasterize_peel",
             "rasterize_segments", "rasterize_contours"} == {o.name for o in RASTER}

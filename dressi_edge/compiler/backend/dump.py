@@ -189,7 +189,7 @@ def watcher(variant: str = "") -> Callable[[str, object], None]:
         if level >= _LEVELS.get(name, level + 1):
             sys.stderr.write(shown(name, value))
         if folder:
-            files = {f"{count}-{name}.txt": shown(name, value)}
+            files = {f"{count:02}-{name}.txt": shown(name, value)}
             if name == "shaders":
                 files |= {f"shader{k:03}.{stage}": source for k, (stage, source) in enumerate(value)}
             if isinstance(value, Mapping):

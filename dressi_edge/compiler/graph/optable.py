@@ -138,6 +138,7 @@ class Op:
     still: Callable | None = None  # of a node whose inputs rest but those of its extent's images: passes/still.py
     ordered: Callable | None = None  # of a node: `InOrder`, or None
     dense: str = ""  # why of a texture that it samples, input 0, there can be no list
+    banded: Callable | None = None  # values, index, boxes, bins, bands= -> the sums over boxes, of so many bands of rows side by side
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
     covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none

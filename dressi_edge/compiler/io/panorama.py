@@ -137,6 +137,8 @@ def read_exr(data: bytes, path: str | Path) -> np.ndarray:
             called = _EXR_NAMES[compression] if compression < len(_EXR_NAMES) else f"number {compression}"
             return exr_library.read(path, "tiles" if data[5] & 0x02 else f"compression {called}", name)
         return _exr_lines(data, at, _exr_channels(attributes["channels"]), compression, width, height, top, name)
+    except InputError:
+        raise
     except (KeyError, IndexError, ValueError, struct.error, zlib.error) as error:
         raise InputError(f"{name} cannot be read ({type(error).__name__}: {shown(error)}); save it again as .exr, compressed by "
                          "ZIP") from None

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..graph.ir import Node, intern, rebuild, topological
-from ..graph.optable import apply, stored
+from ..graph.optable import stored
 from ..graph.program import Program
 from ..graph.reference import evaluate
 from .groups import Group
@@ -25,9 +25,9 @@ ENTRIES = 2_000_000  # of more boxes none is large, or to find out takes too lon
 
 
 def banded(groups: Sequence[Group], program: Program) -> tuple[Group, ...]:
-    """With `segment_sum` in bands wherever boxes are large."""
+    """With what can be (`Op.banded`) in bands wherever boxes are large."""
     roots = [n for group in groups for some in group.roots for n in some]
-    sums = [n for n in topological(roots) if n.op.name == "segment_sum"]
+    sums = [n for n in topological(roots) if n.op.banded is not None]
     bands = {n: _bands(n, most) for n, most in zip(sums, _largest([n.inputs[2] for n in sums], program))}
     if all(count == 1 for count in bands.values()):
         return tuple(groups)
@@ -35,8 +35,7 @@ def banded(groups: Sequence[Group], program: Program) -> tuple[Group, ...]:
     def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
         if bands.get(node, 1) == 1:
             return intern(node.op, stored(node.op, inputs), node.attrs, node.vtype, node.extent)
-        how = {"bands": bands[node], "count": node.extent.count}
-        return apply("band_total", apply("segment_sum_banded", *inputs, **how), **how)
+        return node.op.banded(*inputs, bands=bands[node])
 
     new = rebuild(roots, rewrite)
     return tuple(replace(group, roots=tuple(tuple(new[n] for n in some) for some in group.roots)) for group in groups)

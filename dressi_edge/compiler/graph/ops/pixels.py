@@ -107,8 +107,14 @@ q_ = lo_;
 found_ = q_.y < hi_.y && {{index}}(q_) == {{i}};
 }}
 if (!found_) break;"""
+
+def _in_bands(values, index, box, bins, bands):
+    how = {"bands": bands, "count": box.extent.count}
+    return apply("band_total", apply("segment_sum_banded", values, index, box, bins, **how), **how)
+
+
 op("segment_sum", "values index box bins", attrs="", alike=((0, 1),), sums=(0,), named=(0, 1, -1), infer=_segment_infer,
-   reads="texel texel own texel", ref=_segment_ref, cost=400, functions=_NAME_BIT,
+   reads="texel texel own texel", ref=_segment_ref, cost=400, functions=_NAME_BIT, banded=_in_bands,
    vjp=lambda g, y, values, index, box, bins: (apply("lookup", g, index), None, None, None),
    loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
