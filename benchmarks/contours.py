@@ -119,33 +119,6 @@ def fields(screen):
     return np.array([f / np.linalg.norm(f, axis=1).max() for f in found])
 
 
-def mitsuba_gradient(positions, faces, camera, weight):
-    """Of the same picture times `weight` by vertex positions: a mesh that glows in its colours, by Mitsuba 3's projective sampling of
-    boundaries (Zhang et al. 2023) and ordinary samples inside."""
-    import drjit as dr
-    import mitsuba as mi
-    if mi.variant() is None:
-        mi.set_variant("llvm_ad_rgb")
-    settings = mi.Properties()
-    settings["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
-    shape = mi.Mesh("mesh", len(positions), len(faces), settings)
-    shape.add_attribute("vertex_color", 3, paint(positions).ravel().astype(np.float32))
-    values = mi.traverse(shape)
-    values["vertex_positions"], values["faces"] = np.ravel(positions).astype(np.float32), np.ravel(faces).astype(np.uint32)
-    values.update()
-    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
-    scene = mi.load_dict({
-        "type": "scene", "mesh": shape, "integrator": {"type": "direct_projective", "sppc": 64, "sppp": 256, "sppi": 0},
-        "sensor": {"type": "perspective", "fov": float(2 * np.degrees(np.arctan(camera.width / 2 / camera.fx))), "film": film,
-                   "to_world": mi.ScalarTransform4f(camera.camera_to_world * (-1, 1, -1, 1))}})  # looks along +z, x to the left
-    values = mi.traverse(scene)
-    key = next(key for key in values.keys() if key.endswith("vertex_positions"))
-    dr.enable_grad(values[key])
-    values.update()
-    dr.backward(dr.sum(mi.render(scene, values, spp=16).array * mi.Float(weight.ravel().astype(np.float32))))
-    return np.array(dr.grad(values[key]), np.float64).reshape(-1, 3)
-
-
 def measure(positions, faces, size, radii, device, folder):
     """Rows: r, contours (or peer), error, cosine."""
     camera = look_at((0, 0, 4), (0, 0, 0), (0, 1, 0), 28, size, size)
@@ -169,7 +142,8 @@ def measure(positions, faces, size, radii, device, folder):
                      "cosine": float(found @ truth / np.linalg.norm(found) / np.linalg.norm(truth))})
 
     if importlib.util.find_spec("mitsuba"):
-        compared(mitsuba_gradient(positions, faces, camera, weight), peer="mitsuba")
+        from peers import mitsuba_gradient  # which takes what others need not have
+        compared(mitsuba_gradient(Mesh(positions, faces), camera, weight, 256, paint(positions)), peer="mitsuba")
     for r in radii:
         for contours in (False, True):
             s = Scene([camera])

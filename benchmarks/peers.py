@@ -277,19 +277,25 @@ def silhouette_gradient(mesh: Mesh, camera: Camera) -> Program:
     return program
 
 
-def mitsuba_gradient(mesh: Mesh, camera: Camera, image: np.ndarray, samples: int) -> np.ndarray:
-    """Of the image of a mesh that glows with radiance 1, times `image`, by vertex positions."""
+def mitsuba_gradient(mesh: Mesh, camera: Camera, image: np.ndarray, samples: int, colors: np.ndarray | None = None) -> np.ndarray:
+    """Of the image of a mesh that glows with radiance 1, times `image` (h, w), by vertex positions; with colours (V, 3) of vertices it
+    glows in these, `image` is (h, w, 3), and what moves inside outlines is sampled, too."""
     import drjit as dr
     mi = mitsuba()
     settings = mi.Properties()
-    settings["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": 1.0}})
+    radiance = {"type": "rgb", "value": 1.0} if colors is None else {"type": "mesh_attribute", "name": "vertex_color"}
+    settings["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
     shape = mi.Mesh("mesh", len(mesh.positions), len(mesh.faces), settings)
+    if colors is not None:
+        shape.add_attribute("vertex_color", 3, np.ravel(colors).astype(np.float32))
     values = mi.traverse(shape)
     values["vertex_positions"], values["faces"] = np.ravel(mesh.positions).astype(np.float32), np.ravel(mesh.faces).astype(np.uint32)
     values.update()
-    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
+    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"},
+            "pixel_format": "luminance" if colors is None else "rgb"}
+    inside = 0 if colors is None else 64
     scene = mi.load_dict({
-        "type": "scene", "mesh": shape, "integrator": {"type": "direct_projective", "sppc": 0, "sppp": samples, "sppi": 0},
+        "type": "scene", "mesh": shape, "integrator": {"type": "direct_projective", "sppc": inside, "sppp": samples, "sppi": 0},
         "sensor": {"type": "perspective", "fov": 2 * math.degrees(math.atan(camera.width / 2 / camera.fx)), "film": film,
                    "to_world": mi.ScalarTransform4f(camera.camera_to_world * (-1, 1, -1, 1))}})  # looks along +z, x to the left
     values = mi.traverse(scene)

@@ -19,7 +19,6 @@ from .images import png_bytes, srgb_to_linear
 from .materials import Part, TextureMap
 from .mesh import Mesh, corner_normals
 
-WRAPS = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}
 APERTURE = 36.0  # of a camera, tenths of a unit across, as USD's millimetres of film are
 
 
@@ -112,8 +111,8 @@ class _Stage:
             texture = self.shader(f"{path}/{name}", "UsdUVTexture")
             texture.CreateInput("file", kinds.Asset).Set(file)
             texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB" if color else "raw")
-            texture.CreateInput("wrapS", kinds.Token).Set(WRAPS[wrap[0]])
-            texture.CreateInput("wrapT", kinds.Token).Set(WRAPS[wrap[1]])
+            texture.CreateInput("wrapS", kinds.Token).Set(wrap[0])
+            texture.CreateInput("wrapT", kinds.Token).Set(wrap[1])
             texture.CreateInput("scale", kinds.Float4).Set(self.gf.Vec4f(*map(float, scale)))
             if bias is not None:
                 texture.CreateInput("bias", kinds.Float4).Set(self.gf.Vec4f(*map(float, bias)))

@@ -54,7 +54,8 @@ def flat(table: dict, ends: Sequence[str]) -> dict:
 
 def limit(job: Table, scene: Scene) -> None:
     """Narrows the limits of a scene's parameters to what [limits] says. Raises InputError."""
-    said = flat(job.get("limits", {}), ()) if isinstance(job.get("limits", {}), dict) else job.get("limits")
+    said = job.get("limits", {})
+    said = flat(said, ()) if isinstance(said, dict) else said
     table = Table(said, "limits", scene.parameters, job.source)
     for name in said:
         if name.rpartition(".")[2] in ("vertices", "vector"):
