@@ -55,6 +55,7 @@ from dressi_edge.compiler.render.raster import Softness  # noqa: E402
 from dressi_edge.compiler.scene.problem import Loss, Problem  # noqa: E402
 from dressi_edge.runtime import vk  # noqa: E402
 from dressi_edge.runtime.memory import Images  # noqa: E402
+from dressi_edge.runtime.running import record  # noqa: E402
 from dressi_edge.runtime.transfer import clear  # noqa: E402
 
 HARD = Softness(1.0, delta=0.0)
@@ -153,8 +154,8 @@ class Case:
     def _recorded(self, stages: list[dict]):
         s = self.session
         plan = s._plans[self.plan]
-        recording = s._record(type(plan)({**plan.record, "stages": stages}, s.bundle.description, plan.rule),
-                              {k: s._parity.get(k, 0) for k in plan.slots})
+        recording = record(s, type(plan)({**plan.record, "stages": stages}, s.bundle.description, plan.rule),
+                           {k: s._parity.get(k, 0) for k in plan.slots})
         self.closing.insert(0, recording)
 
         def run() -> None:

@@ -16,12 +16,12 @@ from ..cache.feed import Feed
 from ..cache.layout import Layout, is_int
 from .ahead import Ahead
 from .transfer import upload
+from .values import KIND, get, known, put, stored
 
 if TYPE_CHECKING:
     from .plans import Plan
     from .session import Session
 
-KIND = (np.float32, np.int32)
 TOGETHER_BYTES = 1 << 24  # of pictures that go to the device in one submission
 
 
@@ -56,7 +56,7 @@ class Fed:
     def get(self, name: str, view: int | None) -> np.ndarray:
         """All views of a value that `has`, or one view of any. Raises InputError."""
         s = self.s
-        value = s._value(name, ("input", "state", "output"))
+        value = known(s, name, ("input", "state", "output"))
         kind = KIND[is_int(value["type"])]
         if not self.has(name):
             return self._cell(value, view, kind)
@@ -81,22 +81,22 @@ class Fed:
         s, cell = self.s, self._record(value, view)
         layout = Layout("image", value["type"], cell["width"], cell["height"])
         out = np.empty(layout.shape, kind)
-        s._get({value["name"]: lambda place: layout.take(self._pixels(value, cell, place), out)}, {value["name"]: cell})
+        get(s, {value["name"]: lambda place: layout.take(self._pixels(value, cell, place), out)}, {value["name"]: cell})
         return out
 
     def set(self, name: str, array, view: int | None) -> None:
         """New pictures, all or one: of the feed they go to the device when they are needed, of any other value at once. Raises
         InputError."""
         s = self.s
-        value = s._value(name, ("input", "state"))
+        value = known(s, name, ("input", "state"))
         if name == self.name:
             return self._give(array, view)
         cell = self._record(value, view)
         if not s._reactive.given.get(name, True):
             raise InputError(f"{name} has no value yet; set all of it first")
         layout = Layout("image", value["type"], cell["width"], cell["height"])
-        array = layout.checked(array, f"{name}, view {view}", s._stored(value) is np.float16)
-        s._put([(name, lambda place: layout.fill(self._pixels(value, cell, place), array))], cells={name: cell})
+        array = layout.checked(array, f"{name}, view {view}", stored(s, value) is np.float16)
+        put(s, [(name, lambda place: layout.fill(self._pixels(value, cell, place), array))], cells={name: cell})
 
     def _record(self, value: dict, view: int) -> dict:
         """The part of an image of pictures that is one of them, as a record of its own."""
@@ -107,7 +107,7 @@ class Fed:
         return {**image, "x": x, "y": y, "width": value["width"], "height": value["height"]}
 
     def _pixels(self, value: dict, cell: dict, place: np.ndarray) -> np.ndarray:
-        return place.view(self.s._stored(value)).reshape(cell["height"], cell["width"], -1)
+        return place.view(stored(self.s, value)).reshape(cell["height"], cell["width"], -1)
 
     # ---- pictures
 
@@ -169,7 +169,7 @@ class Fed:
             copies = []
             for slot in some:
                 x, y = feed.cell(slot)
-                rows = np.ascontiguousarray(self._ahead.rows(wanted[slot]), np.uint8 if feed.bits == 8 else s._stored(value))
+                rows = np.ascontiguousarray(self._ahead.rows(wanted[slot]), np.uint8 if feed.bits == 8 else stored(s, value))
                 cell = {**image, "x": x, "y": y, "width": feed.size[0], "height": feed.size[1]}
                 copies.append((handle, cell, rows.reshape(-1).view(np.uint8)))
             upload(s._work, s._staging, copies, [*s._reactive.set([feed.name]), *((feed.held, slot, wanted[slot]) for slot in some)])

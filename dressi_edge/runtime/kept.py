@@ -21,6 +21,7 @@ from ..cache.kept import Turn, part, turns
 from . import vk
 from .memory import Images, image_bytes
 from .record import wait
+from .running import prepare, submit
 from .transfer import read, to_general, upload
 
 if TYPE_CHECKING:
@@ -98,25 +99,25 @@ class Kept:
         if turn is not None and self._shown[turn.input] != (view := self._view(turn, 0)):
             handle, record = s._handle(s.values[turn.input]["image"])
             upload(s._work, s._staging, [(handle, record, np.array([view], np.int32).view(np.uint8))], [(self._shown, turn.input, view)])
-        s._prepare(plan)
+        prepare(s, plan)
 
     def run(self, plan: Plan, n: int) -> int:
         """Run at most n iterations of a plan that sees a view in one submission; how many."""
         s, turn = self.s, self.turns[plan.name]
         if not plan.states:
             self.prepare(plan)
-            s._submit(plan)
+            submit(s, plan)
             return 1
         first = self._fresh(turn, self._view(turn, 0))
         if first is None:
             self.prepare(plan)
             first = self._keep(turn, self._view(turn, 0))
         else:
-            s._prepare(plan, turn.makes)
+            prepare(s, plan, turn.makes)
         copies = [first]
         while len(copies) < n and (copy := self._fresh(turn, self._view(turn, len(copies)))) is not None:
             copies.append(copy)
-        s._submit(plan, len(copies), copies)
+        submit(s, plan, len(copies), copies)
         return len(copies)
 
     def _fresh(self, turn: Turn, view: int) -> Copy | None:

@@ -13,7 +13,9 @@ from ..cache.errors import BundleError, InputError
 from ..cache.layout import is_int
 from . import checkpoint as files
 from .memory import image_bytes
+from .running import give_back
 from .transfer import download
+from .values import pixels, put
 
 if TYPE_CHECKING:
     from .session import Session
@@ -24,7 +26,7 @@ def snapshot(s: Session) -> files.Checkpoint:
     s._work.settle()
     runs = {name: s._runs[name] for name in s.phases}
     names = _kept(s, runs, [n for n, given in s._reactive.given.items() if given])
-    s._give_back(names)
+    give_back(s, names)
     data = download(s._work, s._staging, [s._handle(s.values[name]["image"]) for name in names])
     s._staging.trim(s._largest)
     return files.Checkpoint(s.phase, runs, dict(zip(names, data)))
@@ -42,7 +44,7 @@ def _not_finite(s: Session, kept: files.Checkpoint) -> str:
     for name, data in kept.values.items():
         value = s.values[name]
         if value["role"] != "output" and not is_int(value["type"]):
-            numbers = s._layouts[name].from_image(s._pixels(value, np.frombuffer(data, np.uint8)))
+            numbers = s._layouts[name].from_image(pixels(s, value, np.frombuffer(data, np.uint8)))
             if bad := np.count_nonzero(~np.isfinite(numbers)):
                 return f"{name} has {bad} values that are NaN or Inf"
     return ""
@@ -70,7 +72,7 @@ def restore(s: Session, path: str | os.PathLike) -> None:
     if bad := _not_finite(s, found):
         raise BundleError(f"{os.fspath(path)}: {bad}; finite numbers are needed")
     unset = [name for name in s._reactive.given if name not in (*inputs, s._fed.name, *s._kept.inputs)]
-    s._put([(name, np.frombuffer(data, np.uint8)) for name, data in found.values.items()],
+    put(s, [(name, np.frombuffer(data, np.uint8)) for name, data in found.values.items()],
            (*((s._runs, name, n) for name, n in found.runs.items()),
             *s._reactive.unset(unset),
             (s.__dict__, "phase", found.phase)), trim=True)

@@ -5,28 +5,26 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
 
 from ..cache import bundle as bundles
 from ..cache import vjp
-from ..cache.copies import ENTER, LEAVE, OUTPUT, PHASE
+from ..cache.copies import ENTER, OUTPUT, PHASE
 from ..cache.errors import DeviceError, InputError
-from ..cache.layout import Layout, is_int
+from ..cache.layout import Layout
 from ..cache.profile import Profile
-from ..cache.reactive import Reactive, Rule
+from ..cache.reactive import Reactive
 from ..cache.steps import bounded, check_step
-from ..cache.vulkan import HALF_FORMATS
 from . import checkpoint as checkpoints
-from . import saved, vk
+from . import running, saved, values, vk
 from .counters import Counters
 from .device import Device
 from .emulate import EmulatedDevice
-from .fed import KIND, Fed
+from .fed import Fed
 from .fit import choose
-from .kept import Copy as KeptCopy
 from .kept import Kept
 from .memory import Images, Staging, image_bytes
 from .pipeline_store import PipelineStore
@@ -34,10 +32,8 @@ from .pipelines import Pipelines
 from .plans import Plan, profile_stages
 from .record import Recording
 from .serial import serial
-from .transfer import Fill, batches, clear, read, upload
+from .transfer import batches, clear, upload
 from .work import Work
-
-MAX_SUBMIT = 1 << 16  # iterations in one submission
 
 
 def load(path: str | os.PathLike, device: str | Device | EmulatedDevice | None = None, *, validation: bool = False,
@@ -174,17 +170,9 @@ class Session:
 
     # ---- values
 
-    def _value(self, name: str, roles: tuple[str, ...]) -> dict:
-        self._usable()
-        value = self.values.get(name)
-        if value is None or value["role"] not in roles:
-            known = " ".join(n for n, x in self.values.items() if x["role"] in roles)
-            raise InputError(f"{name!r:.60} is no {' or '.join(roles)} of this bundle; there are: {known}")
-        return value
-
     def shape(self, name: str) -> tuple[int, ...]:
         """The array shape of a value."""
-        self._value(name, ("input", "state", "output"))
+        values.known(self, name, ("input", "state", "output"))
         shape = self._layouts[name].shape
         return self._fed.shape(name, shape) if self._fed.has(name) else shape
 
@@ -210,34 +198,7 @@ class Session:
 
     def set_all(self, arrays: Mapping[str, object]) -> None:
         """`set` of several in one submission: all of them or, after an error, none."""
-        copies, fed = [], []
-        for name, array in arrays.items():
-            value = self._value(name, ("input", "state"))
-            if name == self._fed.name:
-                fed.append(array)
-                continue
-            stored, layout = self._stored(value), self._layouts[name]
-            copies.append((name, functools.partial(self._fill, value, layout.checked(array, name, stored is np.float16))))
-        for array in fed:
-            self._fed.set(self._fed.name, array, None)
-        if copies:
-            self._put(copies)
-
-    @serial
-    def _put(self, copies: list[tuple[str, np.ndarray | Fill]], more: tuple = (), trim: bool = False, cells: Mapping = {}) -> None:  # noqa: B006
-        """cells: of a value the record of the part of its image that is meant."""
-        self._work.settle()  # an interrupted step may yet flip a state
-        names = [name for name, _ in copies]
-        self._give_back(names)
-        upload(self._work, self._staging, [(*self._part(name, cells), data) for name, data in copies],
-               [*self._reactive.set(names), *self._counters.forget(names), *self._kept.unseen(names), *more])
-        if trim:
-            self._staging.trim(self._largest)
-
-    def _part(self, name: str, cells: Mapping) -> tuple[int, dict]:
-        """Its current image, and the record of it or of the part that is meant."""
-        handle, image = self._handle(self.values[name]["image"])
-        return handle, cells.get(name, image)
+        values.set_all(self, arrays)
 
     def get(self, name: str, view: int | None = None) -> np.ndarray:
         """The value of an input, state or output now, float32 or int32; outputs are computed if what they need has changed. view: of
@@ -246,54 +207,7 @@ class Session:
 
     def get_all(self, names: Iterable[str], into: Mapping[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
         """`get` of several in one submission. into: arrays of their shapes to write some of them to, float32 or int32."""
-        found, readers = {}, {}
-        for name in dict.fromkeys(names):
-            value = self._value(name, ("input", "state", "output"))
-            out = None if into is None else into.get(name)
-            kind, shape = KIND[is_int(value["type"])], self.shape(name)
-            if self._fed.has(name):
-                kind = np.float32 if name == self._fed.name else kind
-            if out is not None and (out.shape != shape or out.dtype != kind or not out.flags.c_contiguous):
-                raise InputError(f"{name} is to be written into {out.dtype} {out.shape}; one piece of {np.dtype(kind)} {shape} is needed")
-            found[name] = np.empty(shape, kind) if out is None else out
-            if self._fed.has(name):
-                found[name][...] = self._fed.get(name, None)
-                continue
-            readers[name] = functools.partial(self._take, value, found[name])
-        if readers:
-            self._get(readers)
-        return found
-
-    def _pixels(self, value: dict, data: np.ndarray) -> np.ndarray:
-        """Its image (height, width, channels as stored) in these bytes."""
-        image = self._d["images"][value["image"]]
-        return data.view(self._stored(value)).reshape(image["height"], image["width"], -1)
-
-    def _fill(self, value: dict, array: np.ndarray, place: np.ndarray) -> None:
-        self._layouts[value["name"]].fill(self._pixels(value, place), array)
-
-    def _take(self, value: dict, out: np.ndarray, place: np.ndarray) -> None:
-        self._layouts[value["name"]].take(self._pixels(value, place), out)
-
-    def _stored(self, value: dict) -> type:
-        """The numbers in its image."""
-        return np.float16 if self._d["images"][value["image"]]["format"] in HALF_FORMATS else KIND[is_int(value["type"])]
-
-    @serial
-    def _get(self, readers: Mapping[str, Fill], cells: Mapping = {}) -> None:  # noqa: B006
-        """cells: as of `_put`."""
-        self._work.settle()
-        for name in readers:
-            if self.values[name]["role"] == "output":
-                plan = self._giver[name]
-                if not plan.states:
-                    self._refresh(plan)
-                elif not self._runs[plan.name]:
-                    raise InputError(f"{name} is given out by {plan.name}, which has not run yet")
-            elif not self._reactive.given.get(name, True):
-                raise InputError(f"{name} has no value yet; set it first")
-        self._give_back(readers)
-        read(self._work, self._staging, [(*self._part(name, cells), reader) for name, reader in readers.items()])
+        return values.get_all(self, names, into)
 
     # ---- for bridges into other people's loops (dressi_edge/bridges)
 
@@ -313,85 +227,6 @@ class Session:
         return self._reactive.version[name]
 
     # ---- running
-
-    def _give_back(self, names: Iterable[str]) -> None:
-        """Bring those of these states up to date of which a phase has newer copies."""
-        self._each(self._reactive.leaves(names))
-
-    def _each(self, rules: Iterable[Rule]) -> set[str]:
-        """Run these, one after another; their names."""
-        ran = set()
-        for rule in rules:
-            self._submit(self._plans[rule.name])
-            ran.add(rule.name)
-        return ran
-
-    def _refresh(self, plan: Plan) -> None:
-        """Run a plan that gives something out unless that is up to date."""
-        self._kept.look(plan)
-        if self._reactive.stale(plan.rule):
-            self._run(plan, 1)
-        else:
-            self._skipped[plan.name] += 1
-
-    def _prepare(self, plan: Plan, but: Collection[str] = ()) -> None:
-        """Run all that must run before it, without those of `but`."""
-        ran = self._each(self._reactive.before(plan.rule, but))
-        for name in plan.rule.needs:
-            self._skipped[name] += name not in ran
-
-    def _ready(self, plan: Plan, n: int = 1) -> None:
-        self._fed.fill(plan, n)
-        self._kept.look(plan)
-        if missing := self._reactive.missing(plan.rule):
-            raise InputError(f"{plan.name} needs {' '.join(missing)}; set it first")
-
-    def _recording(self, plan: Plan, flip: tuple = (), copy: KeptCopy | None = None) -> Recording:
-        """The plan's commands for the slots that are current, or with those of the images `flip` exchanged; copy: what is kept of a view,
-        to be read instead of what was made last."""
-        parity = tuple([self._parity[k] ^ (k in flip) if k in self._parity else 0 for k in plan.slots])
-        key = parity if copy is None else (*parity, copy.number)
-        recording = plan.recordings.get(key)
-        if recording is None:
-            recording = plan.recordings[key] = self._record(plan, dict(zip(plan.slots, parity)), images=copy)
-        return recording
-
-    def _record(self, plan: Plan, parity: dict[int, int], timestamps: int = 0, images: KeptCopy | None = None) -> Recording:
-        return Recording(self.device, self._work.pool, self.bundle, images or self._images, self._pipelines, plan.record, parity,
-                         timestamps)
-
-    def _run(self, plan: Plan, n: int) -> None:
-        while n > 0:
-            k = min(n, self._fed.most(plan, MAX_SUBMIT))
-            self._ready(plan, k)
-            self._work.settle()
-            if plan.name in self._kept.turns:
-                k = self._kept.run(plan, k)
-            else:
-                self._prepare(plan)
-                self._submit(plan, k)
-            n -= k
-
-    def _submit(self, plan: Plan, n: int = 1, copies: Sequence[KeptCopy | None] = ()) -> None:
-        """Run a plan on what there is; copies: what is kept of the view of each iteration."""
-        if copies:
-            flips = (), tuple(k for _, k in plan.states)
-            commands = [self._recording(plan, flips[k % 2], copy).commands for k, copy in enumerate(copies)]
-        else:
-            commands = [self._recording(plan).commands]
-        if not copies and plan.states and n > 1:
-            commands = ([*commands, self._recording(plan, tuple(k for _, k in plan.states)).commands] * (n // 2 + 1))[:n]
-        self._work.submit(commands, [(self._runs, plan.name, self._runs[plan.name] + n), *self._stepped(plan, n)])
-        self._work.settle()
-        if not plan.kept:
-            plan.kept = True
-            self._store.keep()
-
-    def _stepped(self, plan: Plan, n: int) -> list:
-        """What is true after n iterations."""
-        flipped = () if plan.rule.kind == LEAVE else plan.states  # a leave writes in place
-        swapped = [(self._parity, image, self._parity[image] ^ n & 1) for _, image in flipped]
-        return [*self._reactive.ran(plan.rule), *self._counters.stepped(plan, n), *swapped]
 
     def step(self, n: int = 1, phase: str | None = None, seconds: float | None = None, cancel=None) -> int:
         """Run n iterations of a phase (default: the current one) in one submission; how many were run.
@@ -420,7 +255,7 @@ class Session:
     @serial
     def _step(self, n: int, phase: str | None) -> int:
         plan = self._choose(phase)
-        self._run(plan, n)
+        running.run(self, plan, n)
         return n
 
     def _chunk(self, plan: Plan, n: int) -> float:
@@ -432,7 +267,7 @@ class Session:
     @serial
     def _timed(self, plan: Plan, n: int) -> float:
         start = time.perf_counter()
-        self._run(plan, n)
+        running.run(self, plan, n)
         return time.perf_counter() - start
 
     def _let_in(self) -> None:
@@ -461,14 +296,14 @@ class Session:
         """Median milliseconds of each stage of a plan by device timestamps; states advance as in `runs` steps, of one view where views
         are kept."""
         plan = self._plans[name]
-        self._ready(plan, runs)
+        running.ready(self, plan, runs)
         self._kept.prepare(plan)
 
         def record(timestamps: int) -> Recording:
-            return self._record(plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
+            return running.record(self, plan, {k: self._parity.get(k, 0) for k in plan.slots}, timestamps)
 
         count = len(plan.record["stages"])
-        return profile_stages(self.device, self._work, count, record, lambda: self._stepped(plan, 1), runs)
+        return profile_stages(self.device, self._work, count, record, lambda: running.stepped(self, plan, 1), runs)
 
     # ---- checkpoints and report
 

@@ -13,7 +13,7 @@ from ...cache.errors import InputError
 from ...cache.layout import MAX_TABLE_ROWS, table_size
 from ...cache.profile import Profile
 from ..graph.ir import topological
-from ..graph.ops.texture_gradient import MAX_PIXELS
+from ..graph.ops.texture_sort import MAX_PIXELS
 from ..graph.program import Program
 from ..io.images import MAX_PIXELS as MAX_TEXELS
 from ..render.atlas import Atlas

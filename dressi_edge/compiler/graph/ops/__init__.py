@@ -30,6 +30,7 @@ from . import (
     tables,
     texture,
     texture_gradient,
+    texture_sort,
     tiles,
     transcendental,
     vector,

@@ -20,7 +20,7 @@ from .compact import Compact, compact
 from .lookup import lookup
 from .mip_pyramid import Pyramid, found
 from .mips import bilinear, split_lod, texels_of, wrapped, wraps_of
-from .texture_gradient import MAX_PIXELS, sorted_list
+from .texture_sort import MAX_PIXELS, sorted_list
 
 MAX_SIDE = 4096  # of an image on every device
 RUN = 128  # reads that one sum takes, at least

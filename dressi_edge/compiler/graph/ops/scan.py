@@ -15,7 +15,7 @@ from ..ir import Node, is_int, table
 from ..optable import Kernel, apply, op
 from .compact import CHUNK
 from .lookup import constant, constant_table, to_table
-from .texture_gradient import LAST
+from .texture_sort import LAST
 
 LANES, EACH = 64, 16  # invocations of a workgroup, entries of each
 SHARED_CHUNK = LANES * EACH
