@@ -17,6 +17,7 @@ from .compact import CHUNK
 from .lookup import constant, constant_table, to_table
 from .texture_sort import LAST
 
+SMALL_CHUNK = 16  # of many entries: each reads those before it in its chunk
 LANES, EACH = 64, 16  # invocations of a workgroup, entries of each
 SHARED_CHUNK = LANES * EACH
 COUNTED = 64 * LANES  # entries that a workgroup counts
@@ -52,16 +53,16 @@ def _scan_infer(name, inputs, attrs):
 def _lower_scan(x: Node, count: int, room: int | None) -> Node:
     """Chunk sums up, starts down, by kernels where workgroups have `room` for them."""
     shared = room is not None and room >= 4 * LANES
-    chunk = SHARED_CHUNK if shared else CHUNK
+    chunk = SHARED_CHUNK if shared else CHUNK if count <= CHUNK * CHUNK else SMALL_CHUNK
     if count <= chunk:
         starts = constant_table(np.zeros(1, int))
     elif shared:
         sums = apply("sum_chunks_shared", x, count=count)
         starts = _lower_scan(sums, sums.extent.count, room)
     else:
-        sums = apply("chunk_counts", x, count=count, chunk=CHUNK)
+        sums = apply("chunk_counts", x, count=count, chunk=chunk)
         starts = _lower_scan(sums, sums.extent.count, room)
-    return apply("scan_chunks_shared", x, starts, count=count) if shared else apply("scan_chunks", x, starts, count=count, chunk=CHUNK)
+    return apply("scan_chunks_shared", x, starts, count=count) if shared else apply("scan_chunks", x, starts, count=count, chunk=chunk)
 
 
 def _part_ref(x, starts, count, chunk=SHARED_CHUNK):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..ir import UNIT, Node
 from ..optable import apply, as_node
-from .bins import SIDE, WORD, Grid
+from .bins import RUN, SIDE, WORD, Grid
 from .lookup import constant_table
 from .scan import exclusive_scan
 
@@ -25,9 +25,10 @@ class Binned:
     spilled: Node
 
 
-def _total(words: Node, starts: Node) -> Node:
-    last = constant_table(np.array([words.extent.count - 1]))
-    return apply("lookup", starts, last) + apply("bit_count", apply("lookup", words, last))
+def _total(counts: Node, starts: Node, entries: Node) -> Node:
+    """The sum of the first so many counts, of which starts are the running sums."""
+    last = entries - 1
+    return apply("select", last >= 0, apply("lookup", starts, last) + apply("lookup", counts, last), 0)
 
 
 DEEP = 64  # entries of a tile for which there is room beside those of small faces
@@ -51,30 +52,32 @@ def bin_faces(boxes: Node, grid: Grid, pairs: int | None = None, reach: float = 
     unless given, by `capacities`: enough for faces that are small, but for being enlarged by `reach` pixels, and for 64 others a tile."""
     first, second = capacities(grid, pairs, reach)
     bins = {key: grid.attrs[key] for key in ("views", "bins_x", "bins_y")}
-    words = apply("bin_words", apply("bin_sides", boxes, **grid.attrs), words=grid.words, **bins)
-    starts = exclusive_scan(apply("bit_count", words))
-    total = _total(words, starts)
+    sides, words = apply("bin_sides", boxes, **grid.attrs), {"words": grid.words}
+    runs = apply("bin_runs", apply("bin_counts", sides, **bins, **words), **bins, **words)
+    starts, count = exclusive_scan(runs), runs.extent.count
+    total = _total(runs, starts, as_node(count))
     spilled = total > first
-    marks = apply("list_marks", starts, spilled, total, slots=first)
+    marks = apply("list_marks", starts, spilled, total, constant_table(np.array([count])), slots=first)
     drawn = apply("select", spilled, grid.views * grid.faces, total)
-    faces = apply("bin_list", words, starts, spilled, total, marks, drawn, slots=first, per_bin=grid.words, face_count=grid.faces,
-                  partial=words.serial, **bins)
-    ranges = apply("bin_ranges", starts, spilled, total, words=grid.words, face_count=grid.faces, **bins)
-    sizes = apply("shift_left", apply("shift_right", ranges.y - ranges.x + (WORD - 1), 5), 6)
-    bases, room = exclusive_scan(sizes), 2 * first + SIDE * SIDE * sizes.extent.count
-    last = constant_table(np.array([sizes.extent.count - 1]))
-    needed = apply("lookup", bases, last) + apply("lookup", sizes, last)
-    sides = apply("tile_sides", apply("lookup", boxes, faces), ranges, bases, needed, slots=room // 4, **grid.attrs)
-    words = apply("tile_words", sides, ranges, bases, needed, slots=room, **bins)
-    starts = exclusive_scan(apply("bit_count", words))
-    total = _total(words, starts)
+    faces = apply("bin_list", sides, starts, spilled, total, marks, drawn, slots=first, face_count=grid.faces, partial=sides.serial, **bins,
+                  **words)
+    ranges = apply("bin_ranges", starts, spilled, total, runs=grid.runs, face_count=grid.faces, **bins)
+    sizes = apply("shift_left", apply("shift_right", ranges.y - ranges.x + (WORD * RUN - 1), 8), 6)
+    bases, room = exclusive_scan(sizes), SIDE * SIDE * (-(-first // (WORD * RUN)) + sizes.extent.count)
+    needed = _total(sizes, bases, as_node(sizes.extent.count))
+    here = apply("min", needed, room)
+    sides = apply("tile_sides", apply("lookup", boxes, faces), ranges, bases, apply("shift_right", here, 1), slots=room // 2,
+                  partial=bases.serial, **grid.attrs)
+    runs = apply("tile_runs", sides, ranges, bases, here, slots=room, partial=sizes.serial, **bins)
+    starts = exclusive_scan(runs)
+    total = _total(runs, starts, here)
     spilled = apply("bit_or", needed > room, total > second)
     drawn = apply("select", spilled, drawn, total)
     tiles = {"tiles_x": grid.tiles[0], "tiles_y": grid.tiles[1], **bins}
-    marks = apply("list_marks", starts, spilled, total, slots=second)
+    marks = apply("list_marks", starts, spilled, total, here, slots=second)
     of_marks = apply("mark_bins", marks, bases, bins=sizes.extent.count)
-    listed = apply("tile_list", words, starts, spilled, total, marks, of_marks, faces, ranges, bases, drawn, slots=second,
+    listed = apply("tile_list", sides, starts, spilled, total, marks, of_marks, faces, ranges, bases, drawn, slots=second,
                    partial=boxes.serial, **tiles)
-    where = apply("tile_ranges", starts, spilled, total, ranges, bases, **tiles)
+    where = apply("tile_ranges", starts, spilled, total, ranges, bases, needed, **tiles)
     assert spilled.extent == UNIT
     return Binned(listed.x, listed.y, where, as_node(total), spilled)
