@@ -20,15 +20,16 @@ from .vulkan import FORMATS
 @dataclass(frozen=True)
 class Turn:
     """What happens view by view. input: the name of the input that says which view the next step sees. counter: the state that counts
-    steps. order: (n,) int32, the view of each step, after which it begins again. memory: bytes for all images, what is kept included, or
-    None. makes: the plans that a phase needs and whose results depend on the view; images: those results; lists: of those that are lists,
-    the image whose last texel says how many entries there are, and how wide the columns are in which they lie. readers: the plans that
-    a user runs and that see the view."""
+    steps. order: (n,) int32, the view of each step, after which it begins again. memory: bytes for all images, what is kept included,
+    or None; room: the same where it was not asked for, within which no more is kept than is usual. makes: the plans that a phase needs and
+    whose results depend on the view; images: those results; lists: of those that are lists, the image whose last texel says how many
+    entries there are, and how wide the columns are in which they lie. readers: the plans that a user runs and that see the view."""
 
     input: str
     counter: str
     order: np.ndarray
     memory: int | None
+    room: int | None
     makes: tuple[str, ...]
     images: tuple[int, ...]
     lists: Mapping[int, tuple[int, int]]
@@ -50,13 +51,14 @@ def turns(d: Mapping, rules: Mapping[str, Rule]) -> list[Turn]:
                 raise ValueError("input or order")
             if (counter["role"], counter["type"], counter["layout"]) != ("state", "int", "unit"):
                 raise ValueError("counter")
-            if x["memory"] is not None and (type(x["memory"]) is not int or x["memory"] < 0):
-                raise ValueError("memory")
+            memory, room = x["memory"], x.get("room")
+            if any(size is not None and (type(size) is not int or size < 0) for size in (memory, room)):
+                raise ValueError("memory or room")
             seeing = [rule for rule in rules.values() if x["input"] in rule.inputs]
             phases = [rule for rule in seeing if rule.kind == PHASE]
             makes = tuple(rule.name for rule in seeing if any(rule.name in phase.needs for phase in phases))
             images = _results(d, phases, makes, shown["image"])
-            found.append(Turn(x["input"], x["counter"], order, x["memory"], makes, images, _lists(d, x["lists"], images),
+            found.append(Turn(x["input"], x["counter"], order, memory, room, makes, images, _lists(d, x["lists"], images),
                               tuple(rule.name for rule in seeing if rule.kind == PHASE or rule.outputs)))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BundleError(f"meta.kept is malformed ({error}); compile the bundle again") from None

@@ -38,7 +38,8 @@ if TYPE_CHECKING:  # files, JSON and suggestions are imported where they are use
     from pathlib import Path
 
 STATUS = ("measured", "specified", "assumed")  # best first
-BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "table_width", "prefer_fp16", "compute", "sources")
+BLOCK = ("description", "tile_bits", "max_merged_attachments", "max_live", "table_width", "heap_bytes", "prefer_fp16", "compute",
+         "sources")
 TABLE_WIDTHS = (8, 16, 32, 64)
 
 
@@ -48,8 +49,8 @@ class Profile:
     `format_has` for the value in force. `tile_bits`: colour bits a pixel that fit in tile memory; `max_merged_attachments`:
     attachments over merged subpasses; `max_live`: 32-bit numbers that a shader may hold at once before its compiler spills them;
     `table_width`: texels a row in which tables are best kept, since narrower rows are padded to about that; None means no such rule is
-    known. `compute`: what is best dispatched, not drawn, one of
-    `limits.COMPUTE`."""
+    known. `heap_bytes`: of the memory that is nearest to the device; None where it is not known. `compute`: what is best dispatched, not
+    drawn, one of `limits.COMPUTE`."""
 
     name: str
     description: str = ""
@@ -60,6 +61,7 @@ class Profile:
     max_merged_attachments: int | None = None
     max_live: int | None = None
     table_width: int | None = None
+    heap_bytes: int | None = None
     prefer_fp16: bool = False
     compute: str = "none"
     sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -148,7 +150,8 @@ class Profile:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of `canonical(self)`, hexadecimal: equal for profiles that the packer cannot tell apart."""
+        """SHA-256 of `canonical(self)`, hexadecimal: equal for profiles that the packer cannot tell apart (`heap_bytes` is for
+        whoever chooses how many pictures lie on the device, before there is anything to pack)."""
         import json
 
         text = json.dumps(canonical(self), sort_keys=True, separators=(",", ":"))
@@ -178,7 +181,7 @@ def profile_names() -> list[str]:
 
 
 def canonical(profile: Profile) -> dict:
-    """All values in force, in plain lists, dicts and numbers, without name, description and sources."""
+    """All values in force that say how to pack, in plain lists, dicts and numbers, without name, description and sources."""
     return {
         "limits": {k: list(v) if isinstance(v := profile.limit(k), tuple) else v for k in LIMITS},
         "features": {k: profile.feature(k) for k in FEATURES},
@@ -219,6 +222,7 @@ def merge(profiles: Iterable[Profile], name: str) -> Profile:
             (p.max_merged_attachments for p in members if p.max_merged_attachments is not None), default=None),
         max_live=min((p.max_live for p in members if p.max_live is not None), default=None),
         table_width=max((p.table_width for p in members if p.table_width is not None), default=None),
+        heap_bytes=min((p.heap_bytes for p in members if p.heap_bytes is not None), default=None),
         prefer_fp16=all(p.prefer_fp16 for p in members),
         compute=min((p.compute for p in members), key=COMPUTE.index),
         sources=sources | {"*": {"source": f"merged from {names}", "status": worst}},

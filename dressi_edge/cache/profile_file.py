@@ -103,7 +103,7 @@ def _own(block, where: str) -> dict:
     out = {}
     for k, v in block.items():
         at = f"{where}: {k}"
-        if k in ("tile_bits", "max_merged_attachments", "max_live"):
+        if k in ("tile_bits", "max_merged_attachments", "max_live", "heap_bytes"):
             out[k] = None if v is None else number(v, at, 1)
         elif k == "table_width":
             if v is not None and number(v, at) not in TABLE_WIDTHS:
@@ -150,7 +150,7 @@ def to_json(profile: Profile) -> str:
             "linearTilingFeatures": [], "optimalTilingFeatures": sorted(FORMAT_FEATURES[f] for f in v), "bufferFeatures": []}}
             for k, v in profile.formats.items()}
     own = {k: getattr(profile, k) for k in BLOCK[:-1]
-           if (k != "compute" or profile.compute != "none") and (k != "table_width" or profile.table_width is not None)}
+           if (k != "compute" or profile.compute != "none") and (k not in ("table_width", "heap_bytes") or getattr(profile, k) is not None)}
     own["sources"] = {k: dict(v) for k, v in profile.sources.items()}
     about = {"version": 1, "api-version": profile.api_version, "label": profile.name, "description": profile.description,
              "contributors": {}, "history": [{"revision": 1, "date": profile.date, "author": "dressi_edge", "comment": ""}],

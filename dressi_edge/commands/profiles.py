@@ -64,8 +64,14 @@ def capture(args) -> None:
         profile = from_device(device.limits, device.features, formats, name,
                               description=f"{device.name}, {device.driver}, as found",
                               source=f"reported by {device.driver} for {device.name}, {day}", date=day,
-                              api_version=".".join(map(str, device.api_version)), table_width=table_width(device))
+                              api_version=".".join(map(str, device.api_version)), table_width=table_width(device), heap_bytes=heap(device))
     _give(profile, args.output)
+
+
+def heap(device) -> int | None:
+    """Bytes of the largest memory that is the device's own."""
+    from ..runtime.vk import VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
+    return max((size for size, flags in device.heaps if flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT), default=None)
 
 
 def table_width(device) -> int | None:

@@ -17,8 +17,9 @@ from ..io.text import bounded, read_bytes, shown
 from . import sense
 from .job_file import parse_file_scene
 from .job_scene import SceneJob, parse_scene
-from .limits import fits_scene, fits_views
-from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, ORDERS, SHADINGS, Loss, Problem
+from .job_views import job_views
+from .limits import fits_scene
+from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, SHADINGS, Loss, Problem
 from .sections import (
     LIGHT,
     MESH,
@@ -32,7 +33,6 @@ from .sections import (
     schedule_of,
     soft,
     softness_of,
-    views_of,
 )
 from .tables import Table
 from .targets import Carried, at_once
@@ -82,10 +82,8 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
         return (parse_scene if "part" in document else parse_file_scene)(document, path, profiles, told, carried)
     job = Table(document, "", ("mesh", "views", "render", "light", "limits", "phase"), str(path))
     make_mesh = mesh_of(job.table("mesh", MESH), path.parent)
-    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
-    order = views_table.word("order", "batch", ORDERS)
-    seed = views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
-    linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
+    seen = job_views(job, path.parent, profiles, told, carried)
+    carried, linear = seen.carried, seen.linear
     phases = [_phase(p) for p in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
     if not phases:
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
@@ -96,9 +94,10 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
                          "set render.shading = \"lambert\", or drop it")
     softs = [(p, {**settings["soft"], **p.soft}) for p in phases]
 
-    mesh, views = make_mesh(make_views), make_views()
+    mesh, views = make_mesh(seen.load), seen.load()
+    order = seen.order(views)
     job.checked(no_points_in, views, lights)
-    views_table.checked(sense.check, mesh, views, any(loss.kind == "silhouette" for phase in phases for loss in phase.losses),
+    seen.table.checked(sense.check, mesh, views, any(loss.kind == "silhouette" for phase in phases for loss in phase.losses),
                         "mesh.normalize has moved and scaled the mesh, but not the cameras" if job.get("mesh").get("normalize") else "",
                         "path" in job.get("mesh"))
     albedo = settings["albedo"] or _albedo(phases, mesh)
@@ -113,10 +112,10 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     moved = any("vertices" in phase.optimize for phase in phases)
     normals = settings["normals"] or ("smooth" if moved or mesh.normals is None else "file")
     problem = render.checked(
-        Problem, mesh, views, order=order, seed=seed, albedo=albedo, lights=lights, normals=normals, judged=True,
+        Problem, mesh, views, order=order, seed=seen.seed, albedo=albedo, lights=lights, normals=normals, judged=True,
         **carried.of(len(views), width, height),
         **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
-    problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear)
+    problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear, **seen.meta(views))
     limit(job, problem.scene)
     side = max(problem.width, problem.height)
     for phase, widths in softs:

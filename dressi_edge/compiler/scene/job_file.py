@@ -16,11 +16,10 @@ from ..render.tone import encode_srgb
 from . import sense
 from .file_scene import load_scene, names_of
 from .job_scene import SceneJob, add_phases, phase_of
-from .limits import fits_views
-from .scene import ORDERS
-from .sections import LIGHT, SOFT, light_of, limit, soft, views_of
+from .job_views import job_views
+from .sections import LIGHT, SOFT, light_of, limit, soft
 from .tables import Table
-from .targets import Carried, at_once
+from .targets import Carried
 
 
 def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
@@ -29,9 +28,8 @@ def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (
     job = Table(document, "", ("scene", "views", "render", "light", "limits", "phase"), str(path))
     file = job.table("scene", ("path", "mips"))
     source, mips = file.file("path", path.parent), file.flag("mips", True)
-    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
-    order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
-    linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
+    seen = job_views(job, path.parent, profiles, told, carried)
+    linear = seen.linear
     render = Table(job.get("render", {}), "render", (*SOFT, "background"), job.source)
     background, common = render.numbers("background", 3, (0.0,) * 3, 0, 1), soft(render)
     lights = [light_of(x) for x in job.tables("light", LIGHT)] if "light" in document else None
@@ -39,14 +37,14 @@ def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (
     phases = [phase_of(t, names_of(parts)) for t in job.tables("phase", ("name", "steps", "optimize", "loss", *SOFT))]
     if not phases:
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
-    views = make_views()
+    views = seen.load()
     whole = together([part.mesh for part in parts])
     silhouettes = any(term.kind == "silhouette" for phase in phases for term in phase.terms)
-    views_table.checked(sense.check, whole, views, silhouettes, "", True)
+    seen.table.checked(sense.check, whole, views, silhouettes, "", True)
     views = views.linear() if linear else views
     scene = file.checked(load_scene, source, views.cameras, parameters=sorted({key for phase in phases for key in phase.optimize}),
                          lights=lights, mips=mips, background=background, encode=None if linear else encode_srgb)
-    scene.program.meta.update(linear_albedo=True, linear_images=linear)
+    scene.program.meta.update(linear_albedo=True, linear_images=linear, **seen.meta(views))
     limit(job, scene)
-    targets, shown = add_phases(scene, views, phases, common, order, seed, carried, background)
+    targets, shown = add_phases(scene, views, phases, common, seen, background)
     return SceneJob(scene, views.names, tuple(map(float, middle_of(whole.positions))), {}, targets, shown)

@@ -37,9 +37,9 @@ from ..render.schedule import Schedule
 from ..render.tone import Tone, encode_srgb
 from . import sense
 from .job_part import COLORS, MATERIALS, NUMBERS, PartTable, part_of
-from .limits import fits_views
+from .job_views import JobViews, job_views
 from .pieces import frame_meta, record
-from .scene import ORDERS, Scene
+from .scene import Scene
 from .sections import (
     ENVIRONMENT,
     LIGHT,
@@ -56,10 +56,9 @@ from .sections import (
     soft,
     softness_of,
     tone_of,
-    views_of,
 )
 from .tables import Table
-from .targets import Carried, Targets, at_once, targets_of, windowed
+from .targets import Carried, Targets, targets_of, windowed
 from .values import GAINS, gains
 
 KINDS = {"unlit": Unlit, "lambert": Lambert, "blinn_phong": BlinnPhong, "pbr": PBR}
@@ -136,9 +135,8 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         raise InputError(f"{path}: part is empty; at least one [[part]] is needed")
     if twice := [p.name for k, p in enumerate(parts) if p.name in [q.name for q in parts[:k]]]:
         raise InputError(f"{path}: two parts are called {twice[0]!r}; give each part a name of its own")
-    views_table, make_views = views_of(job, path.parent, lambda *n: fits_views(profiles)(at_once(order, *n, carried.whole), *n[1:]), told)
-    order, seed = views_table.word("order", "batch", ORDERS), views_table.number("seed", 0, 0, 2 ** 31 - 1, whole=True)
-    linear = views_table.word("color", "srgb", ("srgb", "linear")) == "linear"
+    seen = job_views(job, path.parent, profiles, told, carried)
+    linear = seen.linear
     render = Table(job.get("render", {}), "render", (*SOFT, "srgb", "background", "tone"), job.source)
     srgb, background, common = render.flag("srgb", False), render.numbers("background", 3, (0.0,) * 3, 0, 1), soft(render)
     if srgb and linear:
@@ -156,19 +154,19 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
         raise InputError(f"{path}: phase is missing; at least one [[phase]] is needed")
     optimized = {key for phase in phases for key in phase.optimize}
 
-    meshes, views = [p.load(make_views) for p in parts], make_views()
+    meshes, views = [p.load(seen.load) for p in parts], seen.load()
     job.checked(no_points_in, views, lights)
     placed = together([_placed(p, mesh) for p, mesh in zip(parts, meshes)])
     meshes, views, lights, origin = recentred_parts(meshes, views, lights, origin_of(placed.positions))
     placed = replace(placed, positions=placed.positions - origin)
     silhouettes = any(t.kind == "silhouette" for phase in phases for t in phase.terms)
-    views_table.checked(sense.check, placed, views, silhouettes,
+    seen.table.checked(sense.check, placed, views, silhouettes,
                         "normalize has moved and scaled a part, but not the cameras" * any(p.table.has("normalize") for p in parts),
                         all(p.table.has("path") for p in parts))
     if linear:
         views = views.linear()
     scene = Scene(views.cameras, background, encode_srgb if srgb else None)
-    scene.program.meta.update(linear_albedo=linear or srgb, linear_images=linear)
+    scene.program.meta.update(linear_albedo=linear or srgb, linear_images=linear, **seen.meta(views))
     if tone is not None:
         exposure = scene.parameter("exposure", tone.exposure) if "exposure" in optimized else tone.exposure
         scene.encode = replace(tone, exposure=exposure)
@@ -186,7 +184,7 @@ def parse_scene(document: dict, path: Path, profiles: Sequence[Profile] = (),
             if key not in scene.parameters:
                 raise phase.table.conflict(f"optimize.{key} is no parameter of this job; there are: {' '.join(_known(scene, parts))}")
     limit(job, scene)
-    targets, shown = add_phases(scene, views, phases, common, order, seed, carried, background)
+    targets, shown = add_phases(scene, views, phases, common, seen, background)
     vertices = [f"{p.name}.vertices" for p in parts if f"{p.name}.vertices" in scene.parameters]
     return SceneJob(scene, views.names, middle, frame_meta(origin, vertices, lights, views.unit), targets, shown)
 
@@ -324,10 +322,11 @@ class _Builder:
         return middle
 
 
-def add_phases(scene: Scene, views: Views, phases: Sequence[_PhaseTable], common: dict, order: str, seed: int, carried: Carried,
+def add_phases(scene: Scene, views: Views, phases: Sequence[_PhaseTable], common: dict, seen: JobViews,
                background) -> tuple[Targets, dict[str, str]]:
     """The phases of a job, and what draws its pictures; common: softness where a phase says none. The pictures, and of outputs that draw
     one view the input that says which. Raises InputError."""
+    order, seed, carried = seen.order(views), seen.seed, seen.carried
     targets = targets_of(scene, views, order, seed, **carried.of(len(views), scene.width, scene.height))
     side = max(scene.width, scene.height)
     for phase in phases:

@@ -90,8 +90,8 @@ class Problem:
     "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices); `srgb` decodes the mesh's texture and colours, and encodes
     the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. judged: the
     start was asked for its sense already (`sense.check`). embed: whether the bundle has the pictures; memory: bytes for all images of the
-    device; whole: all pictures as floats at once (`targets.py`). A mesh far from its origin is moved to it, with cameras and lights, by
-    -`origin`.
+    device; room: bytes that they should take where memory says nothing; whole: all pictures as floats at once (`targets.py`). A mesh far
+    from its origin is moved to it, with cameras and lights, by -`origin`.
     Raises InputError.
     """
 
@@ -114,6 +114,7 @@ class Problem:
     embed: bool = True
     memory: int | None = None
     whole: bool = False
+    room: int | None = None
 
     def __post_init__(self):
         self.wrap = self.wrap or self.mesh.wrap
@@ -150,7 +151,7 @@ class Problem:
         self.part = s.add(self.mesh, self.parameters["vertices"], material, "mesh", self.normals)
         self.topology = self.part.topology
         self._targets = targets_of(s, self.views if isinstance(self.views, Views) else None, self.order, self.seed, self.embed, self.memory,
-                                   self.whole)
+                                   self.whole, self.room)
         self.targets, self._shown = self._targets.node, {}
 
     @property

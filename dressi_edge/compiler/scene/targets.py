@@ -11,7 +11,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,28 +30,47 @@ from ..render.atlas import COMMON_SIDE, Atlas
 from ..render.frame import Frame
 
 if TYPE_CHECKING:
+    from ...cache.profile import Profile
     from .scene import Scene
 
 SMALL = 1 << 20  # pixels of all views together up to which pictures are floats, all of them on the device and in the bundle
 SLOTS = 32  # views in a window: a step does not wait for the picture of the next
 WINDOW_BYTES = 1 << 26  # of pictures on the device, unless said otherwise
 SHARE = 4  # of a budget for all images a window takes one part in so many
+HEAP_SHARE = 2  # of a profile's heap all images should take one part in so many: the rest is other programs', and the driver's
+BATCH_BYTES = 48  # a pixel of all images where all views are drawn at once, at the least: 62 with silhouettes, 204 with a texture, too
 
 
 @dataclass(frozen=True)
 class Carried:
     """What a command says of pictures and memory. embed: whether the bundle has the pictures; None: those of few views alone. memory: bytes
     for all images of the device, None for what is usual. whole: all pictures as floats at once, whatever they take, as a reference has
-    them."""
+    them. heap: the smallest of the profiles, where one is known."""
 
     embed: bool | None = None
     memory: int | None = None
     whole: bool = False
+    heap: int | None = None
+
+    def on(self, profiles: Iterable[Profile]) -> Carried:
+        """The same for these profiles."""
+        return replace(self, heap=min((p.heap_bytes for p in profiles if p.heap_bytes is not None), default=None))
+
+    @property
+    def room(self) -> int | None:
+        """Bytes that all images should take: as was said, else a share of the heap, else None."""
+        return self.memory if self.memory is not None or self.heap is None else self.heap // HEAP_SHARE
+
+    def order(self, order: str, count: int, width: int, height: int) -> str:
+        """The order of a job, or where that is "batch" and so many views cannot be drawn at once in the room that there is, the one that
+        gives the same gradient view by view."""
+        much = order == "batch" and not self.whole and large(count, width, height) and self.room is not None
+        return "accumulate" if much and count * width * height * BATCH_BYTES > self.room else order
 
     def of(self, count: int, width: int, height: int) -> dict:
         """The arguments of `targets_of` and `Problem` for so many views."""
         embed = not large(count, width, height) if self.embed is None else self.embed
-        return {"embed": embed, "memory": self.memory, "whole": self.whole}
+        return {"embed": embed, "memory": self.memory, "whole": self.whole, "room": self.room}
 
 
 def large(count: int, width: int, height: int) -> bool:
@@ -69,9 +88,13 @@ def at_once(order: str, count: int, width: int, height: int, whole: bool = False
     return 1 if windowed(order, count, width, height, whole) else count
 
 
-def slots_for(count: int, width: int, height: int, bytes_a_pixel: int, memory: int | None) -> int:
-    """How many views a window has: within its bytes and in an image that every device has, of this `memory` for all images."""
-    room = WINDOW_BYTES if memory is None else memory // SHARE
+def slots_for(count: int, width: int, height: int, bytes_a_pixel: int, memory: int | None, room: int | None = None) -> int:
+    """How many views a window has: within its bytes and in an image that every device has, of this `memory` for all images; room: where
+    nobody said that, what they should take."""
+    if memory is not None:
+        room = memory // SHARE
+    else:
+        room = WINDOW_BYTES if room is None else min(WINDOW_BYTES, room // SHARE)
     most = max(1, min(count, SLOTS, room // (width * height * bytes_a_pixel)))
     fits = [n for n in range(1, most + 1) if max(_extent(width, height, n)) <= COMMON_SIDE]
     return max(fits, default=1)
@@ -87,7 +110,7 @@ class Targets:
     """node: the input. slots: the cells of its image. order: the view of each step, (n,), where the image is a window. steps: the same,
     also where it is none, if a step sees one view. bits: 8 or 32 a channel. table: (256,) float32, what 8 bits of a colour stand for, where
     that is not k / 255. views: the pictures, where they come from outside the program. embed: whether the bundle has them. memory: bytes
-    for all images, if that was said."""
+    for all images, if that was said; room: bytes that they should take where it was not, if that is known."""
 
     node: Node
     slots: Atlas
@@ -98,6 +121,7 @@ class Targets:
     views: Views | None = None
     embed: bool = False
     memory: int | None = None
+    room: int | None = None
 
     @property
     def fed(self) -> bool:
@@ -139,11 +163,12 @@ class Targets:
         found = {"value": self.node.name, "views": n, "bits": self.bits,
                  "table": None if self.table is None else self.table.astype("<f4").tobytes(),
                  "order": None if self.order is None else self.order.astype("<i4").tobytes(), "steps": steps, "shown": shown,
-                 "names": list(self.views.names), "size": [self.slots.width, self.slots.height], "files": [], "blobs": []}
+                 "names": list(self.views.names), "size": [self.slots.width, self.slots.height], "files": [], "blobs": [],
+                 "room": self.memory if self.memory is not None else self.room}
         if isinstance(pictures, Pictures):
             found |= recorded(pictures)
-        kept = [{"input": name, "counter": f"{group}.step", "order": self.steps.astype("<i4").tobytes(), "memory": self.memory}
-                for group, name in program.turned.items()]
+        kept = [{"input": name, "counter": f"{group}.step", "order": self.steps.astype("<i4").tobytes(), "memory": self.memory,
+                 "room": self.room} for group, name in program.turned.items()]
         return {"pictures": found, **({"kept": kept} if kept else {})}
 
     def blobs(self) -> list[bytes]:
@@ -167,9 +192,10 @@ def _rests(scene: Scene, optimize: Iterable[str]) -> bool:
 
 
 def targets_of(scene, views: Views | None, order: str, seed: int, embed: bool = True, memory: int | None = None,
-               whole: bool = False) -> Targets:
+               whole: bool = False, room: int | None = None) -> Targets:
     """The input "targets" of a scene, the pictures of `views` (None: the session sets them). embed: whether the bundle has them. memory:
-    bytes for all images of the device, None for what is usual. whole: all of them as floats whatever they take, as a reference has them."""
+    bytes for all images of the device, None for what is usual; room: bytes that they should take where memory says nothing. whole: all
+    pictures as floats whatever they take, as a reference has them."""
     program, count, width, height = scene.program, len(scene.cameras), scene.width, scene.height
     if memory is not None and (type(memory) is not int or memory < 1):
         raise InputError(f"memory is {memory!r:.40}; a number of bytes above 0 is needed")
@@ -186,11 +212,11 @@ def targets_of(scene, views: Views | None, order: str, seed: int, embed: bool = 
     atlas, window = scene.atlas, None
     steps = None if order == "batch" else scene.order_of(order, seed)
     if windowed(order, count, width, height, whole):
-        slots = slots_for(count, width, height, 4 if bits == 8 else 16, memory)
+        slots = slots_for(count, width, height, 4 if bits == 8 else 16, memory, room)
         if slots < count:
             atlas, window = Atlas.of(width, height, slots), steps
     layout = Layout("atlas", "int" if bits == 8 else "vec4", atlas.width, atlas.height, atlas.views, atlas.columns)
-    return Targets(program.input("targets", layout, narrow=True), atlas, window, steps, bits, table, views, embed, memory)
+    return Targets(program.input("targets", layout, narrow=True), atlas, window, steps, bits, table, views, embed, memory, room)
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:
