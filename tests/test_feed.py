@@ -17,6 +17,7 @@ from dressi_edge.cache import kept as kept_parts
 from dressi_edge.cache.errors import BundleError, InputError
 from dressi_edge.cache.feed import Feed, differences, summed
 from dressi_edge.cache.layout import Layout
+from dressi_edge.cache.vulkan import FORMATS
 from dressi_edge.cli import main
 from dressi_edge.compiler.graph.ops import texture_gradient
 from dressi_edge.compiler.graph.ops.packed import unorm8
@@ -294,7 +295,9 @@ def test_of_lists_as_much_is_kept_as_there_are_entries(gpu, listing):
         few, = session._kept._copies["paint.view"].values()
         turn = session._kept.turns["paint"]
         rows = {image: r["height"] for image, r in zip(turn.images, few.own.records)}
-        assert len(turn.lists) > 2
+        formats = sorted(d["images"][image]["format"] for image in turn.lists)
+        assert formats == sorted(FORMATS[x] for x in ("R32_SINT", "R32_SINT", "R32_SFLOAT", "R32G32_SFLOAT")), (
+            "a pixel's number, from which its place is had, which layer it takes its colour from, its coverage and uv; not that it samples")
         covered = np.count_nonzero(session.get("render.color", view=int(turn.order[0]))[..., 3])
         for image, (_, column) in turn.lists.items():
             record = d["images"][image]

@@ -21,8 +21,9 @@ class Listed:
 @dataclass(frozen=True)
 class InOrder:
     """How a node sums over pixels of which there is a list in the order of the sum (`compiler/passes/ordered.py`). pixels: the numbers of
-    the listed pixels. total: of the sum, from the values of input 0 at the listed pixels, and a function that takes other images of the
-    pixels there."""
+    the listed pixels. flag: an image that is not 0 there. total: of the sum, from the values of input 0 at the listed pixels, and a
+    function that takes other images of the pixels there."""
 
     pixels: Node
+    flag: Node
     total: Callable[[Node, Callable[[Node], Node]], Node]

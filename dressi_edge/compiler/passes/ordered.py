@@ -2,14 +2,18 @@
 
 In: the plans of a phase that sees one view a step of a shape at rest (`Program.turned`). Out: the same, with what is computed pixel by
 pixel between the texture and its gradient over the list of those pixels. What a pixel takes from its view then lies in lists, too, of
-which as much is kept as there are entries, and a texel's pixels are neighbours. The values and the order of the sums are the same.
+which as much is kept as there are entries, and a texel's pixels are neighbours. Where a pixel lies is had of its number, and that it
+samples is known, so that neither takes memory. The values and the order of the sums are the same.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from ...cache.profile import Profile
+from ..graph.facts import InOrder
 from ..graph.ir import UNIT, Extent, Node, intern, is_int, rebuild, topological
 from ..graph.optable import OWN, TILE, apply, as_node
 from ..graph.program import Program
@@ -38,7 +42,7 @@ def _reordered(roots: tuple[Node, ...], dynamic: frozenset[str], rows: int) -> t
     for n in topological(roots):
         how = n.op.ordered(n) if n.op.ordered else None
         if how is not None:
-            there = _There(how.pixels, n.inputs[0].extent, names, dynamic)
+            there = _There(how, n.inputs[0].extent, names, dynamic)
             try:
                 new[n] = how.total(there.value(n.inputs[0]), there.value)
                 e = how.pixels.extent
@@ -60,9 +64,10 @@ def _reordered(roots: tuple[Node, ...], dynamic: frozenset[str], rows: int) -> t
 class _There:
     """Values of an image of `extent` at the listed pixels, over the list's extent: looked up, or worked out there if they change."""
 
-    def __init__(self, pixels: Node, extent: Extent, names: Mapping[Node, frozenset[str]], dynamic: frozenset[str]):
-        self.pixels, self.extent, self.names, self.dynamic = pixels, extent, names, dynamic
+    def __init__(self, how: InOrder, extent: Extent, names: Mapping[Node, frozenset[str]], dynamic: frozenset[str]):
+        self.pixels, self.flag, self.extent, self.names, self.dynamic = how.pixels, how.flag, extent, names, dynamic
         self._made: dict[Node, Node] = {}
+        self._placed: dict[Node, Node | None] = {}
 
     def value(self, n: Node) -> Node:
         """Raises _Elsewhere."""
@@ -78,12 +83,46 @@ class _There:
         known = constant_value(n, {})
         if known is not None and len(set(known.tolist())) == 1 and n.vtype in ("float", "int"):
             return apply("broadcast", as_node(known.tolist()[0]), extent=self.pixels.extent)
-        return apply("lookup", n, self.pixels)
+        placed = self._of_place(n)
+        return apply("lookup", n, self.pixels) if placed is None else placed
+
+    def _inside(self, tiles: Node) -> bool:
+        """Whether all listed pixels are in these tiles: elsewhere something is such that none is listed."""
+        if tiles.op.covers is None:
+            return False
+        k, none = tiles.op.covers
+        flag = constant_value(self.flag, {tiles.inputs[k]: np.array([none])})
+        return flag is not None and not flag.any()
+
+    def _of_place(self, n: Node) -> Node | None:
+        """A value that depends on nothing but where its pixel lies, from the pixel's number; None for another."""
+        if n.extent == UNIT or n.op.stage == "inline":
+            return n
+        if n not in self._placed:
+            made = None
+            if n.op.numbered:
+                made = n.op.numbered(n, apply("kept", self.pixels))
+            elif n.extent == self.extent and n.op.stage == "pixel" and n.inputs and not self.names.get(n, True):
+                made = self._over(n, self._of_place)
+            self._placed[n] = made
+        return self._placed[n]
+
+    def _over(self, n: Node, of: Callable[[Node], Node | None]) -> Node | None:
+        """A node that works pixel by pixel on what its inputs are `of` there; None where it does more, or one of them is None."""
+        if n.op.loop is not None or n.op.placed(n) or any(n.op.read(k) != OWN for k in range(len(n.inputs))):
+            return None
+        inputs = [of(x) for x in n.inputs]
+        if any(x is None for x in inputs):
+            return None
+        attrs = {k: self.pixels.extent if x == self.extent else x for k, x in n.attrs.items()}
+        return intern(n.op, tuple(inputs), attrs, n.vtype, self.pixels.extent)
 
     def _worked_out(self, n: Node) -> Node:
         modes = [n.op.read(k) for k in range(len(n.inputs))]
         if n.op.stage != "pixel" or n.op.loop is not None or n.op.placed(n):
             raise _Elsewhere
+        if modes == [OWN, TILE] and self._inside(n.inputs[1]):
+            return self.value(n.inputs[0])
         if modes == [OWN, TILE]:  # a value inside of tiles, nothing outside
             ones = apply("broadcast", as_node(1), extent=self.extent)
             inside = intern(n.op, (ones, n.inputs[1]), n.attrs, ones.vtype, self.extent)
@@ -93,7 +132,8 @@ class _There:
         inputs = []
         for x, mode in zip(n.inputs, modes):
             if mode == OWN:
-                inputs.append(self.value(x))
+                flagged = x is self.flag and any(w.flag and w.input == len(inputs) for w in n.op.when)
+                inputs.append(apply("broadcast", as_node(1), extent=self.pixels.extent) if flagged else self.value(x))
             elif mode == TILE:
                 raise _Elsewhere
             else:

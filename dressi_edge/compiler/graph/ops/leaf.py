@@ -8,7 +8,7 @@ import numpy as np
 from ....cache.errors import GraphError
 from ....cache.layout import beyond_fp32
 from ..ir import CHANNELS, UNIT, Data, Extent, is_int, vector_type
-from ..optable import op
+from ..optable import apply, op
 
 
 def _leaf(name, inputs, attrs):
@@ -96,7 +96,20 @@ def _cell_index(extent, cell_w, cell_h):
     return x // cell_w + (y // cell_h) * (extent.width // cell_w)
 
 
+def _position_of(number, width, cell_w, cell_h):
+    n = np.maximum(number, 0)
+    return np.concatenate([n % width % cell_w + 0.5 - cell_w / 2, n // width % cell_h + 0.5 - cell_h / 2], 2)
+
+
+op("cell_position_of", "number", infer=lambda name, inputs, attrs: ("vec2", inputs[0].extent), ref=_position_of, cost=6,
+   size=lambda node, sizes: math.log2(max(node.attrs["cell_w"], node.attrs["cell_h"]) / 2),
+   glsl="{ int n_ = max({number}, 0); {y} = vec2(ivec2(n_ % {width}, n_ / {width}) % ivec2({cell_w}, {cell_h}))"
+        " + vec2(0.5 - 0.5 * float({cell_w}), 0.5 - 0.5 * float({cell_h})); }",
+   sample=lambda rng: ([rng.integers(0, 60, (4, 5, 1))], {"width": 10, "cell_w": 5, "cell_h": 3}),
+   doc="cell_position of the pixels with these numbers, row by row in an atlas `width` wide.")
 op("cell_position", "", infer=_cells("vec2"), ref=_cell_position, cost=2,
+   numbered=lambda node, numbers: apply("cell_position_of", numbers, width=node.extent.width, cell_w=node.attrs["cell_w"],
+                                        cell_h=node.attrs["cell_h"]),
    size=lambda node, sizes: math.log2(max(node.attrs["cell_w"], node.attrs["cell_h"]) / 2),
    glsl="{y} = vec2({p} % ivec2({cell_w}, {cell_h})) + vec2(0.5 - 0.5 * float({cell_w}), 0.5 - 0.5 * float({cell_h}));",
    doc="Pixel centre relative to the centre of its view's cell of the atlas, in pixels.")

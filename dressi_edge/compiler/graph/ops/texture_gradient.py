@@ -261,7 +261,7 @@ def _in_order(node: Node) -> InOrder | None:
         return None
     _, bins, ordered, footprint = entries.inputs
     how = {"width": footprint.attrs["width"], "height": footprint.attrs["height"], "clamped": WRAPS.index(footprint.attrs["wrap"])}
-    return InOrder(apply("swizzle", ordered, channels="y"),
+    return InOrder(apply("swizzle", ordered, channels="y"), footprint.inputs[1],
                    lambda g, there: apply("texture_gather_ordered", g, bins, there(footprint.inputs[0]), **how))
 
 
