@@ -25,9 +25,10 @@ from dressi_edge.compiler.scene.problem import Loss, Problem
 
 
 def decoded(path, masks=OWN, mask=None):
-    """uint8 (h, w, 4) of a picture."""
+    """uint8 (h, w, 4) of a picture, of 16 bits the upper 8."""
     read = Photograph(path, header(path).upright, masks, mask)
-    return read(*(file.read_bytes() for file in read.files))
+    found = read(*(file.read_bytes() for file in read.files))
+    return found if found.dtype == np.uint8 else (found >> 8).astype(np.uint8)
 
 
 RNG = np.random.default_rng(5)

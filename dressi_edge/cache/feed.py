@@ -13,7 +13,9 @@ import numpy as np
 
 from .errors import BundleError, InputError
 
-AS_FLOAT = np.arange(256, dtype=np.float32) / np.float32(255.0)
+AS_FLOAT = {8: np.arange(256, dtype=np.float32) / np.float32(255.0), 16: np.arange(65536, dtype=np.float32) / np.float32(65535.0)}
+KINDS = {8: np.dtype(np.uint8), 16: np.dtype("<u2"), 32: np.dtype("<f4")}  # of a channel, by its bits
+TYPES = {8: "int", 16: "ivec2", 32: "vec4"}  # of a pixel
 MAX_VIEWS = 1 << 20
 
 
@@ -30,7 +32,8 @@ def summed(data: bytes, shape: tuple[int, ...], kind: type) -> np.ndarray:
 
 
 class Feed:
-    """name: the value, an atlas of slots. views: how many pictures there are; size: (width, height) of each; bits: 8 or 32 a channel.
+    """name: the value, an atlas of slots. views: how many pictures there are; size: (width, height) of each; bits: 8, 16 or 32 a
+    channel.
     order: the view of each step, or None where every view has a slot of its own. steps: plans that read the value, each with the state that
     counts its steps. shown: outputs of one view, each with the input that says which. held: slot -> view, as far as it is filled. source:
     what gives pictures that the bundle does not have, given: those that were set."""
@@ -59,9 +62,9 @@ class Feed:
         self.steps, self.shown = texts(meta["steps"], values), texts(meta["shown"], values)
         self.names, self.files, self.blobs = meta["names"], meta["files"], meta["blobs"]
         self.digests = meta.get("digests", [])
-        if value["role"] != "input" or value["layout"] != "atlas" or (self.bits, value["type"]) not in ((8, "int"), (32, "vec4")):
-            raise ValueError("its value is no atlas of 8 or 32 bits that is set")
-        if type(self.views) is not int or not 0 < self.views <= MAX_VIEWS or self.table is not None and len(self.table) != 256:
+        if value["role"] != "input" or value["layout"] != "atlas" or TYPES.get(self.bits) != value["type"]:
+            raise ValueError("its value is no atlas of 8, 16 or 32 bits that is set")
+        if type(self.views) is not int or not 0 < self.views <= MAX_VIEWS or self.table is not None and len(self.table) != 1 << self.bits:
             raise ValueError("views or table")
         if self.order is None and self.slots != self.views or self.order is not None and not (
                 len(self.order) and 0 <= self.order.min() <= self.order.max() < self.views):
@@ -98,16 +101,16 @@ class Feed:
                              "folder (run --views), set them, or compile with --embed")
 
     def rows(self, view: int) -> np.ndarray:
-        """A picture as its slot holds it: (h, w, 4), uint8 or float32. Raises InputError where there is none, BundleError where what the
-        bundle has is damaged."""
+        """A picture as its slot holds it: (h, w, 4), uint8, uint16, float32. Raises InputError where there is none, BundleError where what
+        the bundle has is damaged."""
         if view in self.given:
             return self.given[view]
         if self.source is not None:
             return self.packed(self.source(view), f"{self.name}, view {view}")
         self.check()
-        kind = np.uint8 if self.bits == 8 else np.float32
+        kind = KINDS[self.bits]
         shape = (self.size[1], self.size[0], 4)
-        size = int(np.prod(shape)) * np.dtype(kind).itemsize
+        size = int(np.prod(shape)) * kind.itemsize
         unpacker = zlib.decompressobj()
         try:
             data = unpacker.decompress(self._blob(self.blobs[view]), size)
@@ -118,12 +121,14 @@ class Feed:
         return summed(data, shape, kind)
 
     def packed(self, picture, who: str) -> np.ndarray:
-        """A picture as its slot holds it, of one as it is stored in a file (uint8), or as `floats` gives it. Raises InputError."""
+        """A picture as its slot holds it, of one as it is stored in a file (uint8, uint16), or as `floats` gives it. Raises InputError."""
         picture = np.asarray(picture)
         if picture.shape != self.shape[1:]:
             raise InputError(f"{who} has shape {picture.shape}; {self.shape[1:]} is needed")
-        if picture.dtype == np.uint8:
-            return picture if self.bits == 8 else self.floats(picture)
+        if picture.dtype == np.uint8 and self.bits == 16:
+            return picture.astype(np.uint16) * np.uint16(257)
+        if picture.dtype == np.uint8 or picture.dtype == np.uint16 and self.bits >= 16:
+            return picture if self.bits < 32 else self.floats(picture)
         if picture.dtype.kind not in "fiub":
             raise InputError(f"{who} has type {picture.dtype}; numbers are needed")
         with np.errstate(over="ignore"):
@@ -133,16 +138,17 @@ class Feed:
         if self.bits == 32:
             return picture
         if not 0.0 <= picture.min() <= picture.max() <= 1.0:
-            raise InputError(f"{who} has values from {picture.min():g} to {picture.max():g}; pictures of 8 bits have 0 to 1")
-        out = np.rint(picture * np.float32(255.0)).astype(np.uint8)
+            raise InputError(f"{who} has values from {picture.min():g} to {picture.max():g}; pictures of {self.bits} bits have 0 to 1")
+        out = np.rint(picture * np.float32((1 << self.bits) - 1)).astype(KINDS[self.bits])
         if self.table is not None:
             out[..., :3] = np.searchsorted((self.table[1:] + self.table[:-1]) / 2, picture[..., :3])
         return out
 
     def floats(self, rows: np.ndarray) -> np.ndarray:
         """float32 as shaders have it, of rows."""
-        if rows.dtype != np.uint8:
+        if rows.dtype.kind != "u":
             return rows
+        known = AS_FLOAT[8 * rows.dtype.itemsize]
         if self.table is None:
-            return AS_FLOAT[rows]
-        return np.concatenate([self.table[rows[..., :3]], AS_FLOAT[rows[..., 3:]]], axis=-1)
+            return known[rows]
+        return np.concatenate([self.table[rows[..., :3]], known[rows[..., 3:]]], axis=-1)

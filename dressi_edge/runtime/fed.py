@@ -12,7 +12,7 @@ import numpy as np
 
 from ..cache import vulkan as v
 from ..cache.errors import BundleError, InputError
-from ..cache.feed import Feed
+from ..cache.feed import KINDS, Feed
 from ..cache.layout import Layout, is_int
 from .ahead import Ahead
 from .transfer import upload
@@ -169,7 +169,7 @@ class Fed:
             copies = []
             for slot in some:
                 x, y = feed.cell(slot)
-                rows = np.ascontiguousarray(self._ahead.rows(wanted[slot]), np.uint8 if feed.bits == 8 else stored(s, value))
+                rows = np.ascontiguousarray(self._ahead.rows(wanted[slot]), KINDS[feed.bits] if feed.bits < 32 else stored(s, value))
                 cell = {**image, "x": x, "y": y, "width": feed.size[0], "height": feed.size[1]}
                 copies.append((handle, cell, rows.reshape(-1).view(np.uint8)))
             upload(s._work, s._staging, copies, [*s._reactive.set([feed.name]), *((feed.held, slot, wanted[slot]) for slot in some)])

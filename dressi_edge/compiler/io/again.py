@@ -58,7 +58,7 @@ def reader(folder: str | Path, meta: Mapping | None, linear: bool) -> Callable[[
     try:
         found = [[_found(folder, name) for name in names.split("\n")] for names in meta["files"]]
         readings = [_photograph(r, files) for r, files in zip(meta["readings"], found, strict=True)]
-        pictures = Pictures.known(readings, [tuple(r["to"]) for r in meta["readings"]], meta["digests"])
+        pictures = Pictures.known(readings, [tuple(r["to"]) for r in meta["readings"]], meta["digests"], meta["bits"] == 16)
     except InputError:  # of a file, not of the bundle
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -66,7 +66,7 @@ def reader(folder: str | Path, meta: Mapping | None, linear: bool) -> Callable[[
     pictures.check()
     if linear:
         pictures = pictures.as_linear()
-    return pictures.rows if meta["bits"] == 8 else pictures.picture
+    return pictures.rows if meta["bits"] < 32 else pictures.picture
 
 
 def _photograph(r: Mapping, files: Sequence[Path]) -> Photograph:

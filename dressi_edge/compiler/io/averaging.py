@@ -13,7 +13,7 @@ COVERED_LIGHT = (BYTE[:, None] * srgb_to_linear(BYTE)).reshape(-1)  # by alpha a
 
 
 def downsampled(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An sRGB RGBA image (h, w, 4), of 8 bits or float in [0, 1], averaged over area down to size (width, height): float32.
+    """An sRGB RGBA image (h, w, 4), of 8 or 16 bits or float in [0, 1], averaged over area down to size (width, height): float32.
 
     Light adds up linearly and only where there is something, so colour is averaged linear and multiplied by alpha. Of what alpha leaves
     empty nothing is worked out: it is zero. Raises InputError.
@@ -31,6 +31,8 @@ def downsampled(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         alpha, row = BYTE.take(planes[3]), planes[3].astype(np.uint16) << 8
         light = [COVERED_LIGHT.take(row | x) for x in planes[:3]]
     else:
+        if image.dtype == np.uint16:
+            planes = [x / np.float32(65535.0) for x in planes]
         alpha = planes[3].astype(np.float64)
         light = [srgb_to_linear(x.astype(np.float64)) * alpha for x in planes[:3]]
     *light, alpha = (across.averaged(down.averaged(x, 0), 1) for x in (*light, alpha))

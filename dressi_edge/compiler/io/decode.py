@@ -1,7 +1,7 @@
-"""Pictures as cameras and tools write them, with the object's mask wherever it is: files in; RGBA of 8 bits out.
+"""Pictures as cameras and tools write them, with the object's mask wherever it is: files in; RGBA of 8 or 16 bits out.
 
-JPEG, PNG, WebP, TIFF, BMP, ...; RGB, grey, palettes, CMYK; 8 bits, or 16, of which the upper 8 are kept; turned as EXIF says. The mask is
-the picture's own alpha, a file of its own, or what differs from a plain backdrop.
+JPEG, PNG, WebP, TIFF, BMP, ...; RGB, grey, palettes, CMYK; 8 bits, or 16 (all of them of PNG and of grey, else the upper 8); turned as EXIF
+says. The mask is the picture's own alpha, a file of its own, or what differs from a plain backdrop.
 """
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from .text import is_file, is_folder, shown
 ORIENTATION = 0x0112  # the EXIF tag: 1 as stored, 3 upside down, 5 to 8 lying on a side
 HINT = "save it again as a PNG of 8 bits"
 MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L", "I;16N", "HSV")
+LOWER = {"RGB;16B": ("RGB", "RGB;16L"), "RGBA;16B": ("RGBA", "RGBA;16L"), "LA;16B": ("RGBA", "RGBA")}  # of PNG: what gives the lower bytes
 NEIGHBOURS = ("masks", "mask", "segmentation", "silhouettes")  # folders that hold masks by their name
 FOLDERS = 4  # of a picture's path, that its mask's may repeat
 
@@ -133,10 +134,13 @@ class Photograph:
         return (self.file,) if self.mask is None else (self.file, self.mask)
 
     def __call__(self, *data: bytes) -> np.ndarray:
-        """uint8 (h, w, 4) of the files' bytes: straight colour as stored, and coverage. Raises InputError."""
+        """uint8 or uint16 (h, w, 4) of the files' bytes: straight colour as stored, and coverage. Raises InputError."""
         with opened(data[0], "image", HINT, shown(self.file)) as image:
-            mode, has_alpha = image.mode, image.has_transparency_data
-            pixels = _rgba(image, self.file, self.upright)
+            mode, has_alpha, raw = image.mode, image.has_transparency_data, _raw(image)
+            pixels = _rgba(image, self.file, self.upright, True)
+        if raw in LOWER:
+            with opened(data[0], "image", HINT, shown(self.file)) as image:
+                pixels = _sixteen(pixels, image, raw, self.upright)
         if self.masks.premultiplied:
             if not has_alpha:
                 raise InputError(f"image {shown(self.file)} has no alpha channel (mode {mode}), but its colour is to be divided by alpha; "
@@ -146,11 +150,11 @@ class Photograph:
             raise InputError(f"image {shown(self.file)} has no alpha channel (mode {mode}); alpha is the mask; save it as RGBA, or say "
                              f"where the object is: {_hint(self.file, pixels)}")
         if self.mask is not None or self.masks.backdrop is not None:
-            pixels[..., 3] = np.rint(self._coverage(pixels, *data[1:]))
+            pixels[..., 3] = np.rint(self._coverage(pixels, *data[1:]))  # of 0 to the highest number
         return pixels if self.lens is None or self.lens.straight else straightened(pixels, self.lens)
 
     def _coverage(self, pixels: np.ndarray, *mask: bytes) -> np.ndarray:
-        """(h, w) in [0, 255]."""
+        """(h, w) in [0, 255], or as far as pixels go."""
         coverage = pixels[..., 3].astype(np.float32)
         if mask:
             with opened(mask[0], "mask", HINT, shown(self.mask)) as image:
@@ -160,7 +164,7 @@ class Photograph:
                                  f"{coverage.shape[1]}x{coverage.shape[0]}; scale one of them")
             coverage = coverage * own
         if self.masks.backdrop is not None:
-            coverage = coverage * _unlike(pixels[..., :3], self.masks.backdrop, self.masks.within)
+            coverage = coverage * _unlike(pixels[..., :3] / np.float32(highest(pixels)), self.masks.backdrop, self.masks.within)
         return coverage
 
 
@@ -203,16 +207,46 @@ def fitted(width: int, height: int, size: tuple[int, int] | int | None) -> tuple
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def _rgba(image: Image.Image, path: Path, upright: bool) -> np.ndarray:
-    """uint8 (h, w, 4), its own to be written to."""
+def highest(pixels: np.ndarray) -> int:
+    """What stands for 1 in pixels of 8 or 16 bits."""
+    return int(np.iinfo(pixels.dtype).max)
+
+
+def _raw(image: Image.Image) -> str:
+    """How the bytes of a PNG's pixels lie; nothing of another file."""
+    return str(image.tile[0][3]) if image.format == "PNG" and image.tile else ""
+
+
+def _sixteen(upper: np.ndarray, image: Image.Image, raw: str, upright: bool) -> np.ndarray:
+    """uint16 (h, w, 4) of a PNG of 16 bits, whose upper 8 were decoded. image: the same, not yet decoded. The library gives the upper bytes
+    of each pair alone, but is told here that the lower ones come first, as in other files."""
+    mode, other = LOWER[raw]
+    image.tile = [(*tile[:3], other) for tile in image.tile]
+    image._mode = mode
+    if upright and image.getexif().get(ORIENTATION, 1) in range(2, 9):
+        image = ImageOps.exif_transpose(image)
+    lower = np.asarray(image)
+    if raw == "LA;16B":
+        lower = lower[..., [1, 1, 1, 3]]
+    elif lower.shape[2] == 3:
+        lower = np.concatenate([lower, np.full_like(lower[..., :1], 255)], -1)
+    pixels = upper.astype(np.uint16) << 8 | lower
+    if raw == "RGB;16B":  # a colour may stand for what is transparent
+        pixels[..., 3] = np.where((pixels[..., :3] == image.info.get("transparency", (-1, -1, -1))).all(-1), 0, 65535)
+    return pixels
+
+
+def _rgba(image: Image.Image, path: Path, upright: bool, deep: bool = False) -> np.ndarray:
+    """uint8 (h, w, 4), its own to be written to; deep: of grey of 16 bits uint16."""
     if image.mode not in MODES:
         raise InputError(f"image {shown(path)} has pixels of mode {image.mode}, which are not read; {HINT}")
     if upright and image.getexif().get(ORIENTATION, 1) in range(2, 9):
         image = ImageOps.exif_transpose(image)
     if image.mode.startswith("I;16"):
         grey, hidden = np.asarray(image), image.info.get("transparency")
-        alpha = np.full(grey.shape, 255) if not isinstance(hidden, int) else np.where(grey == hidden, 0, 255)
-        return np.stack([*[grey >> 8] * 3, alpha], axis=-1).astype(np.uint8)  # the upper 8, as of colours of 16 bits
+        alpha = np.where(grey == hidden, 0, 65535) if isinstance(hidden, int) else np.full(grey.shape, 65535)
+        pixels = np.stack([grey, grey, grey, alpha], axis=-1).astype(np.uint16)
+        return pixels if deep else (pixels >> 8).astype(np.uint8)  # the upper 8
     if image.mode in ("CMYK", "YCbCr", "HSV"):
         image = image.convert("RGB")
     elif image.mode == "La":
@@ -223,8 +257,9 @@ def _rgba(image: Image.Image, path: Path, upright: bool) -> np.ndarray:
 def _straight(pixels: np.ndarray) -> np.ndarray:
     """Colour divided by alpha; none where alpha is 0."""
     alpha = pixels[..., 3:].astype(np.float32)
-    color = np.minimum(pixels[..., :3] * (255.0 / np.maximum(alpha, 1.0)), 255.0) * (alpha > 0.0)
-    return np.concatenate([np.rint(color).astype(np.uint8), pixels[..., 3:]], axis=-1)
+    most = np.float32(highest(pixels))
+    color = np.minimum(pixels[..., :3] * (most / np.maximum(alpha, np.float32(1.0))), most) * (alpha > 0.0)
+    return np.concatenate([np.rint(color).astype(pixels.dtype), pixels[..., 3:]], axis=-1)
 
 
 def _brightness(pixels: np.ndarray) -> np.ndarray:
@@ -236,8 +271,8 @@ def _brightness(pixels: np.ndarray) -> np.ndarray:
 
 
 def _unlike(color: np.ndarray, backdrop: Sequence[float], within: float) -> np.ndarray:
-    """(h, w) in [0, 1]: how far each pixel is something else than the backdrop; see `Masks`."""
-    distance = np.linalg.norm(color / np.float32(255.0) - np.asarray(backdrop, np.float32), axis=-1) / np.sqrt(np.float32(3.0))
+    """(h, w) in [0, 1]: how far each pixel (of colours in [0, 1]) is something else than the backdrop; see `Masks`."""
+    distance = np.linalg.norm(color - np.asarray(backdrop, np.float32), axis=-1) / np.sqrt(np.float32(3.0))
     return np.clip(2.0 * distance / within - 1.0, 0.0, 1.0)
 
 
@@ -247,7 +282,7 @@ def _hint(path: Path, pixels: np.ndarray) -> str:
         for name in NEIGHBOURS:
             if folder / name != path.parent and is_folder(folder / name):
                 return f"views.masks = \"...\", for there is a folder {shown(folder / name)}"
-    border = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])[:, :3] / 255.0
+    border = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])[:, :3] / highest(pixels)
     plain = np.median(border, axis=0)
     near = (np.linalg.norm(border - plain, axis=1) < 0.05 * np.sqrt(3.0)).mean()
     seen = f" (about [{', '.join(f'{x:.2f}' for x in plain)}] at the border of this one)" if near > 0.9 else ""

@@ -100,8 +100,8 @@ def beyond(lens: Lens, width: int, height: int) -> float:
 
 
 def straightened(picture: np.ndarray, lens: Lens) -> np.ndarray:
-    """The picture (h, w, 4), uint8 with straight colour, as a pinhole with the lens's fx, fy, cx, cy would have taken it at the same size,
-    bilinear; alpha is 0 beyond what the lens saw."""
+    """The picture (h, w, 4), uint8 or uint16 with straight colour, as a pinhole with the lens's fx, fy, cx, cy would have taken it at the
+    same size, bilinear; alpha is 0 beyond what the lens saw."""
     height, width = picture.shape[:2]
     column, row, inside = _places(lens, width, height)
     x, y = np.clip(column, 0.0, width - 1.0), np.clip(row, 0.0, height - 1.0)
@@ -118,4 +118,4 @@ def straightened(picture: np.ndarray, lens: Lens) -> np.ndarray:
     mean = ((at(top, left) * (1 - fx) + at(top, right) * fx) * (1 - fy) + (at(below, left) * (1 - fx) + at(below, right) * fx) * fy)
     mean[:, :3] /= np.maximum(mean[:, 3:], 1e-6)
     mean[~inside] = 0.0
-    return np.rint(np.clip(mean, 0.0, 255.0)).astype(np.uint8).reshape(picture.shape)
+    return np.rint(np.clip(mean, 0.0, np.iinfo(picture.dtype).max)).astype(picture.dtype).reshape(picture.shape)

@@ -23,7 +23,7 @@ from .text import shown
 
 KEPT_BYTES = 1 << 28  # of decoded pictures that stay in memory
 COVERED = 0.5  # alpha from which a pixel counts as the object
-AS_FLOAT = np.arange(256, dtype=np.float32) / np.float32(255.0)  # what 8 bits stand for
+AS_FLOAT, AS_FLOAT16 = (np.arange(n + 1, dtype=np.float32) / np.float32(n) for n in (255, 65535))  # what 8 and 16 bits stand for
 
 
 class Reading(Protocol):
@@ -33,7 +33,7 @@ class Reading(Protocol):
     size: tuple[int, int]
 
     def __call__(self, *data: bytes) -> np.ndarray:
-        """The picture (h, w, 4) in the bytes of the files: uint8, straight RGBA as stored. Raises InputError."""
+        """The picture (h, w, 4) in the bytes of the files: uint8 or uint16, straight RGBA as stored. Raises InputError."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class Mask:
 
     @staticmethod
     def of(image: np.ndarray) -> Mask:
-        """Of a picture (h, w, 4), 8 bits or float."""
+        """Of a picture (h, w, 4), 8 or 16 bits or float."""
         alpha = image[..., 3]
-        whole, half = (255, 128) if alpha.dtype == np.uint8 else (1.0, COVERED)
+        whole, half = {np.dtype(np.uint8): (255, 128), np.dtype(np.uint16): (65535, 32768)}.get(alpha.dtype, (1.0, COVERED))
         covered = alpha >= half
         columns, rows = np.flatnonzero(covered.any(axis=0)), np.flatnonzero(covered.any(axis=1))
         box = (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if len(columns) else None
@@ -71,22 +71,25 @@ class Pictures:
         found = []
         for k, (digest, mask, image) in enumerate(self._each(self._seen)):
             found.append((digest, mask))
+            self.deep |= image.dtype == np.uint16
             self._keep(k, image)
             if told is not None:
                 told(k + 1, len(self))
         self.digests, self.masks = (tuple(x) for x in zip(*found))
 
     @classmethod
-    def known(cls, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]], digests: Sequence[bytes]) -> Pictures:
-        """Pictures whose SHA-256 are known, none of them read yet. `masks` is not there."""
+    def known(cls, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]], digests: Sequence[bytes],
+              deep: bool = False) -> Pictures:
+        """Pictures whose SHA-256 are known, none of them read yet. deep: whether some have 16 bits. `masks` is not there."""
         self = object.__new__(cls)
         self._begin(readings, sizes)
+        self.deep = deep
         self.digests = tuple(digests)
         self._other = "is not the one that the bundle was compiled with (its SHA-256 is another); put that back, or compile again"
         return self
 
     def _begin(self, readings: Sequence[Reading], sizes: Sequence[tuple[int, int]]) -> None:
-        self.readings, self.linear, self._kept, self._left = tuple(readings), False, {}, KEPT_BYTES
+        self.readings, self.linear, self.deep, self._kept, self._left = tuple(readings), False, False, {}, KEPT_BYTES
         self._other = "has changed since it was read; leave pictures alone while they are used"
         self.sizes = tuple(sizes)
         for (w, h), r in zip(self.sizes, self.readings, strict=True):
@@ -115,8 +118,8 @@ class Pictures:
 
     @property
     def bits(self) -> int:
-        """Of a channel of `rows`: 8 as stored, 32 (float) where pictures are averaged."""
-        return 8 if all(size == r.size for size, r in zip(self.sizes, self.readings)) else 32
+        """Of a channel of `rows`: 8 as stored, 16 where some have so many, 32 (float) where pictures are averaged."""
+        return (16 if self.deep else 8) if all(size == r.size for size, r in zip(self.sizes, self.readings)) else 32
 
     def copy(self) -> np.ndarray:
         """All of them as an array."""
@@ -129,11 +132,13 @@ class Pictures:
         return other
 
     def rows(self, k: int) -> np.ndarray:
-        """One picture (h, w, 4) as it is: uint8 as stored, float32 where pictures were averaged; sRGB encoded. Raises InputError, also
-        where the file is no longer the one that it was."""
+        """One picture (h, w, 4) as it is: uint8 or uint16 as stored, float32 where pictures were averaged; sRGB encoded. Raises InputError,
+        also where the file is no longer the one that it was."""
         image, (_, height, width, _) = self._rows(k), self.shape
-        if self.bits == 32 and image.dtype == np.uint8:
-            image = AS_FLOAT[image]
+        if self.bits == 32:
+            image = as_floats(image)
+        elif self.deep and image.dtype == np.uint8:
+            image = image.astype(np.uint16) * np.uint16(257)
         if image.shape[:2] == (height, width):
             return image
         whole = np.zeros((height, width, 4), image.dtype)
@@ -217,8 +222,9 @@ class Pictures:
 
 def as_floats(rows: np.ndarray, linear: bool = False) -> np.ndarray:
     """float32 in [0, 1] of the rows of a picture; of its colour linear light where `linear`."""
-    if rows.dtype == np.uint8:
+    if rows.dtype.kind == "u":
+        known = AS_FLOAT if rows.dtype == np.uint8 else AS_FLOAT16
         if not linear:
-            return AS_FLOAT[rows]
-        return np.concatenate([srgb_to_linear(AS_FLOAT)[rows[..., :3]], AS_FLOAT[rows[..., 3:]]], axis=-1)
+            return known[rows]
+        return np.concatenate([srgb_to_linear(known)[rows[..., :3]], known[rows[..., 3:]]], axis=-1)
     return np.concatenate([srgb_to_linear(rows[..., :3]), rows[..., 3:]], axis=-1) if linear else rows

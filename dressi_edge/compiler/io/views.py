@@ -92,7 +92,7 @@ class Views:
         scaled with them."""
         sizes = [fitted(c.width, c.height, size) for c in self.cameras]
         cameras = tuple(c.resized(*wh) for c, wh in zip(self.cameras, sizes))
-        if isinstance(self.images, Pictures) and self.images.bits == 8 and not self.images.linear:
+        if isinstance(self.images, Pictures) and self.images.bits < 32 and not self.images.linear:
             return replace(self, images=Pictures(self.images.readings, sizes), cameras=cameras)
         images = np.zeros((len(self), max(h for _, h in sizes), max(w for w, _ in sizes), 4), np.float32)
         for k, (w, h) in enumerate(sizes):

@@ -1,8 +1,8 @@
 """The pictures that a scene is fitted to: how they lie on the device, and how they come there.
 
-Few of them (`SMALL`) are on the device and in the bundle, as floats. Of more, pictures of 8 bits stay so: an int a pixel, taken apart in
-the shader to the same bits. Where a step sees one view, the device has a window of some views at a time, which the session fills in the
-order that is known beforehand (`cache/feed.py`); pictures are then in the bundle compressed, or not at all.
+Few of them (`SMALL`) are on the device and in the bundle, as floats. Of more, pictures of 8 bits stay so, an int a pixel, and those of 16,
+two, taken apart in the shader to the same bits. Where a step sees one view, the device has a window of some views at a time, which the
+session fills in the order that is known beforehand (`cache/feed.py`); pictures are then in the bundle compressed, or not at all.
 
 In: a scene, its views, the order of steps. Out: `Targets`, whose `at` is what a frame is compared with, and the bundle's meta.
 """
@@ -21,10 +21,10 @@ from ...cache.feed import differences
 from ...cache.layout import Layout
 from ..graph.functions import apply, constant_table, lookup, to_int
 from ..graph.ir import Node, topological
-from ..graph.ops.packed import unorm8
+from ..graph.ops.packed import unorm8, unorm16
 from ..io.again import recorded
 from ..io.color import srgb_to_linear
-from ..io.pictures import AS_FLOAT, Pictures
+from ..io.pictures import AS_FLOAT, AS_FLOAT16, Pictures
 from ..io.views import Views
 from ..render.atlas import COMMON_SIDE, Atlas
 from ..render.frame import Frame
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 SMALL = 1 << 20  # pixels of all views together up to which pictures are floats, all of them on the device and in the bundle
 SLOTS = 32  # views in a window: a step does not wait for the picture of the next
 WINDOW_BYTES = 1 << 26  # of pictures on the device, unless said otherwise
+LAYOUTS = {8: ("int", 4), 16: ("ivec2", 8), 32: ("vec4", 16)}  # by bits a channel: the type of a pixel, and its bytes
 SHARE = 4  # of a budget for all images a window takes one part in so many
 HEAP_SHARE = 2  # of a profile's heap all images should take one part in so many: the rest is other programs', and the driver's
 BATCH_BYTES = 48  # a pixel of all images where all views are drawn at once, at the least: 62 with silhouettes, 204 with a texture, too
@@ -108,9 +109,9 @@ def _extent(width: int, height: int, n: int) -> tuple[int, int]:
 @dataclass(frozen=True, eq=False)
 class Targets:
     """node: the input. slots: the cells of its image. order: the view of each step, (n,), where the image is a window. steps: the same,
-    also where it is none, if a step sees one view. bits: 8 or 32 a channel. table: (256,) float32, what 8 bits of a colour stand for, where
-    that is not k / 255. views: the pictures, where they come from outside the program. embed: whether the bundle has them. memory: bytes
-    for all images, if that was said; room: bytes that they should take where it was not, if that is known."""
+    also where it is none, if a step sees one view. bits: 8, 16 or 32 a channel. table: (2^bits,) float32, what bits of a colour stand for,
+    where that is not k / 255 or k / 65535. views: the pictures, where they come from outside the program. embed: whether the bundle has
+    them. memory: bytes for all images, if that was said; room: bytes that they should take where it was not, if that is known."""
 
     node: Node
     slots: Atlas
@@ -147,7 +148,7 @@ class Targets:
             node = apply("fetch", node, to_int(frame.pixel) + self.slots.corner(slot))
         else:
             node = frame.at(node)
-        return unorm8(node, self.table) if self.bits == 8 else node
+        return node if self.bits == 32 else (unorm8 if self.bits == 8 else unorm16)(node, self.table)
 
     def meta(self, program, shown: dict[str, str]) -> dict:
         """What a session must know to bring pictures to the device: meta.pictures (docs/bundle-format.md). shown: outputs that draw one
@@ -180,8 +181,8 @@ class Targets:
             return list(pool.map(lambda k: zlib.compress(differences(self._rows(images, k)), 3), range(len(images))))
 
     def _rows(self, images, k: int) -> np.ndarray:
-        if self.bits == 8:
-            return images.rows(k) if isinstance(images, Pictures) else np.rint(images[k] * np.float32(255.0)).astype(np.uint8)
+        if self.bits < 32:
+            return images.rows(k) if isinstance(images, Pictures) else _integers(images[k], self.bits)
         return images.picture(k) if isinstance(images, Pictures) else np.asarray(images[k], np.float32)
 
 
@@ -207,17 +208,25 @@ def targets_of(scene, views: Views | None, order: str, seed: int, embed: bool = 
     if isinstance(images, Pictures):
         bits, linear = images.bits, images.linear
     else:
-        bits, linear = 8 if all(np.array_equal(AS_FLOAT[_bytes(x)], x) for x in images) else 32, False
-    table = srgb_to_linear(AS_FLOAT) if linear else None
+        bits, linear = _bits(images), False
+    table = srgb_to_linear(AS_FLOAT if bits == 8 else AS_FLOAT16) if linear and bits < 32 else None
     atlas, window = scene.atlas, None
     steps = None if order == "batch" else scene.order_of(order, seed)
     if windowed(order, count, width, height, whole):
-        slots = slots_for(count, width, height, 4 if bits == 8 else 16, memory, room)
+        slots = slots_for(count, width, height, LAYOUTS[bits][1], memory, room)
         if slots < count:
             atlas, window = Atlas.of(width, height, slots), steps
-    layout = Layout("atlas", "int" if bits == 8 else "vec4", atlas.width, atlas.height, atlas.views, atlas.columns)
+    layout = Layout("atlas", LAYOUTS[bits][0], atlas.width, atlas.height, atlas.views, atlas.columns)
     return Targets(program.input("targets", layout, narrow=True), atlas, window, steps, bits, table, views, embed, memory, room)
 
 
-def _bytes(image: np.ndarray) -> np.ndarray:
-    return np.rint(image * np.float32(255.0)).astype(np.uint8)
+def _bits(images: Iterable[np.ndarray]) -> int:
+    """The fewest a channel that hold these floats exactly."""
+    for bits, known in ((8, AS_FLOAT), (16, AS_FLOAT16)):
+        if all(np.array_equal(known[_integers(x, bits)], x) for x in images):
+            return bits
+    return 32
+
+
+def _integers(image: np.ndarray, bits: int) -> np.ndarray:
+    return np.rint(image * np.float32((1 << bits) - 1)).astype(np.uint8 if bits == 8 else np.uint16)
