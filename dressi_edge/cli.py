@@ -105,6 +105,8 @@ def parser() -> argparse.ArgumentParser:
     sub = command("new", "write a starting job for a folder of pictures, after looking at what is in it")
     sub.add_argument("folder", help="pictures, with their cameras: transforms.json, a COLMAP model, cameras.npz, *_par.txt or a glTF file")
     sub.add_argument("-o", "--output", metavar="JOB.toml", default="job.toml", help="the job to write (default job.toml)")
+    sub.add_argument("--start", choices=("hull", "sphere"), default="hull", help="the mesh to start from, unless the folder has one: the "
+                     "hull of the masks (default; a sphere where they have none), or a sphere within the object")
     sub.add_argument("--force", action="store_true", help="replace files that exist")
 
     sub = command("compile", "make a bundle of a job (docs/job.md)", target="compile:compile_job")

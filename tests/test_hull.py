@@ -16,8 +16,8 @@ from test_formats import write_colmap
 
 from dressi_edge.cache.errors import InputError, InputWarning
 from dressi_edge.compiler.io.cameras import inverse_rigid, look_along, orbit
-from dressi_edge.compiler.io.carve import ball_of, bounds, depth, rims
-from dressi_edge.compiler.io.hull import genus_of, visual_hull
+from dressi_edge.compiler.io.carve import ball_of, bounds, depth, rims, uncovered
+from dressi_edge.compiler.io.hull import genus_of, misses_of, visual_hull
 from dressi_edge.compiler.io.remesh import evened, vertex_normals
 from dressi_edge.compiler.io.shapes import icosphere, pear
 from dressi_edge.compiler.io.unit import Unit
@@ -171,6 +171,19 @@ def test_what_one_mask_lacks_may_be_kept():
     assert genus_of(kept.faces) == [0] and genus_of(visual_hull(RING, 600, misses=1).faces) == [1]
     with pytest.raises(InputError, match="misses is 15, of 16 masks; 0 to 14 is allowed"):
         visual_hull(views, 362, misses=15)
+
+
+def test_whether_masks_agree_is_seen_from_the_others():
+    """What one mask lacks is missing behind the others' pixels; holes of the object are not, and whole masks need no misses."""
+    assert misses_of(RING) == 0 and uncovered(rims(RING)) == 0.0
+    views = implicit_views(ball, AROUND)
+    images = views.images.copy()
+    images[3, :40, :, 3] = 0.0
+    worn = Views(images, views.cameras, views.names)
+    assert uncovered(rims(views)) == 0.0 < 0.02 < uncovered(rims(worn)) and uncovered(rims(worn), 1) == 0.0
+    assert misses_of(worn) == 1
+    images[6, :, :48, 3] = 0.0
+    assert misses_of(Views(images, views.cameras, views.names)) == 2
 
 
 def test_loose_parts_are_left_out_and_said_but_two_things_stay_two():

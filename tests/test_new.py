@@ -59,32 +59,86 @@ def written(tmp_path, folder, *args):
     return tomllib.loads((tmp_path / "job.toml").read_text()), done.stdout
 
 
-@pytest.mark.parametrize("kind, key", [("alpha", None), ("masks", "masks"), ("backdrop", "backdrop")])
-def test_the_object_is_found_by_alpha_masks_or_a_plain_backdrop(tmp_path, kind, key):
-    job, said = written(tmp_path, folder_of(tmp_path, kind=kind))
+@pytest.mark.parametrize("kind, key, start", [("alpha", None, "sphere"), ("masks", "masks", "sphere"), ("backdrop", "backdrop", "hull")])
+def test_the_object_is_found_by_alpha_masks_or_a_plain_backdrop(tmp_path, kind, key, start):
+    job, said = written(tmp_path, folder_of(tmp_path, kind=kind), "--start", start)
     assert {"masks", "backdrop"} & set(job["views"]) == ({key} if key else set())
-    assert job["mesh"]["sphere"]["radius"] == pytest.approx(0.6 * RADIUS, rel=0.1)
+    if start == "sphere":
+        assert job["mesh"]["sphere"]["radius"] == pytest.approx(0.6 * RADIUS, rel=0.1) and "hull" not in said
+    else:
+        assert job["mesh"] == {"hull": {"vertices": 2562}} and "it starts from the hull of the masks: what all of them allow" in said
     assert job["views"]["transforms"] == "photos/transforms.json" and "5 pictures of 80 x 60" in said
     assert [p["name"] for p in job["phase"]] == ["shape", "texture"] and "dressi-edge compile job.toml" in said
     problem = load_job(tmp_path / "job.toml")
     assert len(problem.cameras) == 5 and problem.views.masks[0].box is not None
+    far = np.linalg.norm(problem.mesh.positions, axis=1)
+    assert problem.albedo == "texture" and (start == "sphere" or 0.9 * RADIUS < far.min() and np.median(far) < 1.15 * RADIUS)
 
 
 def test_numbers_follow_the_size_and_the_place_of_the_object(tmp_path):
     middle = (40.0, -30.0, 10.0)
-    job, said = written(tmp_path, folder_of(tmp_path, middle=middle, scale=20.0))
-    start = load_mesh(tmp_path / job["mesh"]["path"])
-    np.testing.assert_allclose(start.positions.mean(axis=0), middle, atol=0.5)
-    assert np.linalg.norm(start.positions - middle, axis=1).max() == pytest.approx(0.6 * RADIUS * 20.0, rel=0.1)
+    start = starting_job(folder_of(tmp_path, middle=middle, scale=20.0), tmp_path)
+    job = tomllib.loads(start.text)
+    assert "around (40, -30, 10)" in start.text and not start.files
     rate = job["phase"][0]["optimize"]["vertices"]["rate"]["start"]
-    assert rate == pytest.approx(0.01 * RADIUS * 20.0, rel=0.1) and job["phase"][0]["loss"][1]["weight"] == pytest.approx(0.005, rel=0.1)
-    assert job["views"]["near"] < 60.0 - 10.0 and job["views"]["far"] > 60.0 + 10.0 and "is not at the origin" in said
-    assert (tmp_path / "job_start.obj").exists()
+    assert rate == pytest.approx(0.003 * RADIUS * 20.0, rel=0.1)
+    assert job["phase"][0]["loss"][1]["weight"]["start"] == pytest.approx(20.0 / 100.0, rel=0.1)
+    assert job["views"]["near"] < 60.0 - 10.0 and job["views"]["far"] > 60.0 + 10.0 and list(job["mesh"]) == ["hull"]
+
+
+def test_without_the_libraries_of_the_hull_it_starts_from_a_sphere_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage.measure", None)
+    start = starting_job(folder_of(tmp_path), tmp_path)
+    job = tomllib.loads(start.text)
+    assert job["mesh"]["sphere"]["radius"] == pytest.approx(0.6 * RADIUS, rel=0.1) and not start.carved
+    assert start.told[-1] == ("it starts from a sphere, not from the hull of the masks: a visual hull needs skimage, which is not "
+                              "installed; pip install 'dressi_edge[hull]'")
+    middle = (40.0, -30.0, 10.0)
+    start = starting_job(folder_of(tmp_path, middle=middle, scale=20.0, name="far"), tmp_path)
+    job = tomllib.loads(start.text)
+    (tmp_path / "job.toml").write_text(start.text)
+    for name, data in start.files.items():
+        (tmp_path / name).write_bytes(data)
+    ball = load_mesh(tmp_path / job["mesh"]["path"]).positions - middle
+    assert job["mesh"] == {"path": "job_start.obj"} and "the sphere is in job_start.obj" in start.told[-1]
+    assert np.linalg.norm(ball, axis=1).max() == pytest.approx(0.6 * RADIUS * 20.0, rel=0.1)
+    assert job["phase"][0]["optimize"]["vertices"]["rate"]["start"] == pytest.approx(0.01 * RADIUS * 20.0, rel=0.1)
+    assert load_job(tmp_path / "job.toml").mesh.uvs is not None
+
+
+def test_masks_that_bound_nothing_leave_a_sphere(tmp_path):
+    """All cameras look from one side, and what they see goes on beyond the pictures."""
+    folder = folder_of(tmp_path, views=4, size=(26, 22))
+    table = json.loads((folder / "transforms.json").read_text())
+    for k, (image, frame) in enumerate(zip(sorted((folder / "images").iterdir()), table["frames"])):
+        pixels = np.asarray(Image.open(image)).copy()
+        pixels[..., 3] = 255
+        pixels[:, :2, 3] = 0
+        Image.fromarray(pixels).save(image)
+        frame["transform_matrix"] = [[1, 0, 0, 0.01 * k], [0, 1, 0, 0], [0, 0, 1, 3.0], [0, 0, 0, 1]]
+    (folder / "transforms.json").write_text(json.dumps(table))
+    start = starting_job(folder, tmp_path)
+    assert not start.carved and any("it starts from a sphere, not from the hull of the masks: the masks do not bound the object" in line
+                                    for line in start.told), start.told
+
+
+def test_masks_that_do_not_agree_are_told_and_allowed_for(tmp_path):
+    """Of sixteen masks one lacks a third of the ball, which all others show."""
+    folder = folder_of(tmp_path, views=16)
+    agreeing = tomllib.loads(starting_job(folder, tmp_path).text)
+    pixels = np.asarray(Image.open(folder / "images" / "003.png")).copy()
+    pixels[:26, :, 3] = 0
+    Image.fromarray(pixels).save(folder / "images" / "003.png")
+    start = starting_job(folder, tmp_path)
+    assert agreeing["mesh"]["hull"] == {"vertices": 2562}
+    assert tomllib.loads(start.text)["mesh"]["hull"] == {"vertices": 2562, "misses": 1}
+    assert "they do not agree everywhere, and what 1 lacks is kept" in start.told[-1]
 
 
 def test_many_large_pictures_become_views_that_every_device_takes(tmp_path):
-    job, _ = written(tmp_path, folder_of(tmp_path, views=33, size=(450, 300), kind="backdrop"))
+    job, said = written(tmp_path, folder_of(tmp_path, views=33, size=(450, 300), kind="backdrop"), "--start", "sphere")
     assert job["views"]["order"] == "shuffle" and job["views"]["size"] == 400
+    assert "run job.dressi --views photos -o" in said, "so many pictures are not in the bundle"
     problem = load_job(tmp_path / "job.toml")
     assert (problem.width, problem.height) == (400, 267)
 
@@ -100,7 +154,7 @@ def test_a_mesh_in_the_folder_is_the_start(tmp_path):
 def test_pictures_that_are_missing_are_left_out(tmp_path):
     folder = folder_of(tmp_path)
     (folder / "images" / "002.png").unlink()
-    job, said = written(tmp_path, folder)
+    job, said = written(tmp_path, folder, "--start", "sphere")
     assert job["views"]["missing"] == "skip" and "4 pictures" in said and len(load_job(tmp_path / "job.toml").cameras) == 4
 
 
@@ -119,15 +173,15 @@ def test_a_colmap_model_is_found(tmp_path):
         numbers = " ".join(f"{x:.17g}" for x in (w, *axis, *seen[:3, 3]))
         lines += [f"{k + 1} {numbers} 1 {k:03}.png", ""]
     (model / "images.txt").write_text("\n".join(lines) + "\n")
-    job, said = written(tmp_path, folder)
+    job, said = written(tmp_path, folder, "--start", "sphere")
     assert job["views"]["cameras"] == "photos" and "masks are in masks" in said
-    assert np.allclose(load_mesh(tmp_path / job["mesh"]["path"]).positions.mean(axis=0), (1.0, 2.0, 3.0), atol=0.05)
-    assert len(load_job(tmp_path / "job.toml").cameras) == 5
+    problem = load_job(tmp_path / "job.toml")
+    assert len(problem.cameras) == 5 and np.allclose(problem.mesh.positions.mean(axis=0), (1.0, 2.0, 3.0), atol=0.05)
 
 
 @pytest.mark.parametrize("name", ["my photos", "it's", 'a "b"', "Äpfel", "a\\b"])
 def test_folders_may_be_called_anything(tmp_path, name):
-    job, _ = written(tmp_path, folder_of(tmp_path, name=name, views=3))
+    job, _ = written(tmp_path, folder_of(tmp_path, name=name, views=3), "--start", "sphere")
     assert job["views"]["transforms"] == f"{name}/transforms.json"
 
 
@@ -146,7 +200,7 @@ def test_an_existing_job_is_kept_unless_it_is_to_be_replaced(tmp_path):
     done = command("new", folder, cwd=tmp_path)
     assert done.returncode == 3 and "job.toml exists; name another with -o, or replace it with --force" in done.stderr
     assert (tmp_path / "job.toml").read_text() == "mine"
-    written(tmp_path, folder, "--force")
+    written(tmp_path, folder, "--force", "--start", "sphere")
 
 
 def test_what_cannot_be_guessed_is_asked_for(tmp_path):
@@ -187,5 +241,7 @@ def test_real_photographs_get_a_job(shared_dir, tmp_path):
     for frame in table["frames"]:
         frame.pop("source", None)  # where the picture came from, which no camera depends on
     (folder / "transforms_train.json").write_text(json.dumps(table))
-    job, said = written(tmp_path, folder)
-    assert "32 pictures of 240 x 192" in said and "their alpha is the mask" in said and job["mesh"] == {"path": "job_start.obj"}
+    start = starting_job(folder, tmp_path)
+    job, said = tomllib.loads(start.text), start.text
+    assert "32 pictures of 240 x 192" in said and "their alpha is the mask" in said and "they do not agree" not in said
+    assert list(job["mesh"]) == ["hull"] and job["views"]["order"] == "shuffle"

@@ -19,6 +19,7 @@ COARSE = 40  # cells a side of the grid that looks for the hull
 GROWTH = 1.7
 ROUNDS = 8
 CHUNK = 1 << 18  # points at once
+RAYS, SAMPLES = 64, 128  # of each view, and along each ray, where masks are asked whether they agree
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,3 +155,30 @@ def ball_of(views: Views) -> tuple[np.ndarray, float]:
         inside = np.stack([low, high])
     centre = (inside.min(axis=0) + inside.max(axis=0)) / 2.0
     return centre, float(np.linalg.norm(inside - centre, axis=1).max())
+
+
+def uncovered(of: Sequence[Rim], misses: int = 0) -> float:
+    """The share of the masks' pixels behind which nothing of the hull is, nearer than a pixel: 0 where all masks agree. What a mask lacks
+    is carved out of the hull, and so is missing from what the others show. Some pixels of each mask, evenly over it, stand for all.
+    Raises InputError as `bounds`."""
+    low, high = bounds(of, misses)
+    middle, half = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+    bare = []
+    for rim in of:
+        c = rim.camera
+        at = np.argwhere(rim.inside > 1.0)
+        at = at[np.linspace(0, len(at) - 1, min(RAYS, len(at))).astype(np.int64)] + 0.5
+        screen = np.stack([(at[:, 1] - c.cx) / c.fx, (c.cy - at[:, 0]) / c.fy, np.zeros(len(at))], axis=1)
+        ahead = -float(c.world_to_camera[2, :3] @ middle + c.world_to_camera[2, 3])
+        depths = np.linspace(ahead - half, ahead + half, SAMPLES)
+        if c.kind != "orthographic":
+            depths = np.maximum(depths, c.near)
+        across = screen[:, None] * (1.0 if c.kind == "orthographic" else depths[None, :, None])
+        points = c.position + (across - depths[None, :, None] * (0.0, 0.0, 1.0)) @ c.world_to_camera[:3, :3]
+        near = 2.0 * half / SAMPLES / 2.0 + (1.0 if c.kind == "orthographic" else ahead) / min(c.fx, c.fy)
+        flat = points.reshape(-1, 3)
+        found = np.zeros(len(flat), bool)
+        box = np.flatnonzero(((flat > low - near) & (flat < high + near)).all(axis=1))
+        found[box] = depth(of, flat[box], -near, misses) > -near
+        bare.append(~found.reshape(len(at), SAMPLES).any(axis=1))
+    return float(np.concatenate(bare).mean())

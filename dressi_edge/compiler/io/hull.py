@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...cache.errors import InputError, note
-from .carve import bounds, depth, grid, rims
+from .carve import bounds, depth, grid, rims, uncovered
 from .mesh import Mesh
 from .needs import needed
 from .remesh import evened
@@ -14,6 +14,9 @@ from .views import Views
 FINER = 6.0  # vertices of the carved surface for each that is asked for
 MOST = 320  # cells a side
 SHARE = 0.02  # of the surface, what a part must have to stay
+COARSE = 64  # cells a side where handles are counted
+AGREE = 1e-3  # of the masks' pixels, what may be missing from the hull of masks that agree
+MOST_MISSES = 3
 
 
 def visual_hull(views: Views, vertices: int = 2562, misses: int = 0) -> Mesh:
@@ -36,6 +39,24 @@ def visual_hull(views: Views, vertices: int = 2562, misses: int = 0) -> Mesh:
     return Mesh(positions, faces, charts.uvs, charts.uv_faces)
 
 
+def misses_of(views: Views) -> int:
+    """How many masks may lack what all others have (`visual_hull`): 0 where the masks agree, up to 3 and an eighth of them where not: the
+    fewest of those that leave the fewest handles, and then such that the hull lacks nothing of what masks show. What one mask lacks becomes
+    a handle or a dent, which goes when one may lack it; a hole of the object is seen through from more sides, and stays. Raises InputError
+    as `visual_hull`."""
+    of = rims(views)
+
+    def handles(misses: int) -> int:
+        low, high = bounds(of, misses)
+        return sum(genus_of(_largest(*_surface(of, low, high, float((high - low).max()) / COARSE, misses), told=False)[1]))
+
+    found = handles(0)  # also tells whether there is a hull at all
+    if uncovered(of) <= AGREE:
+        return 0
+    scores = [(found, True), *((handles(k), uncovered(of, k) > AGREE) for k in range(1, min(MOST_MISSES, len(of) // 8) + 1))]
+    return scores.index(min(scores))
+
+
 def _surface(of, low: np.ndarray, high: np.ndarray, step: float, misses: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions and faces, outwards, of where the depth is 0."""
     measure = needed("skimage.measure")
@@ -54,15 +75,15 @@ def _surface(of, low: np.ndarray, high: np.ndarray, step: float, misses: int) ->
     return positions, faces
 
 
-def _largest(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without parts that are small beside the whole."""
+def _largest(positions: np.ndarray, faces: np.ndarray, told: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Without parts that are small beside the whole, which a note says if it is to be `told`."""
     sparse, graph = needed("scipy.sparse"), needed("scipy.sparse.csgraph")
     n = len(positions)
     links = sparse.coo_matrix((np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), (n, n))
     part = graph.connected_components(links, directed=False)[1][faces[:, 0]]
     sizes = np.bincount(part)
     keep = sizes >= SHARE * len(faces)
-    if lost := np.count_nonzero((sizes > 0) & ~keep):
+    if told and (lost := np.count_nonzero((sizes > 0) & ~keep)):
         note(f"the hull of the masks has {lost} small loose part{'s' if lost > 1 else ''}, which {'are' if lost > 1 else 'is'} left out")
     used, numbered = np.unique(faces[keep[part]], return_inverse=True)
     return positions[used], numbered.reshape(-1, 3).astype(np.int32)

@@ -22,6 +22,7 @@ from ..io.decode import NEIGHBOURS as MASKS
 from ..io.decode import OWN, Masks, images_in, opened
 from ..io.formats import FORMATS, read_cameras
 from ..io.gltf_cameras import gltf_cameras
+from ..io.hull import misses_of
 from ..io.materials import Material, Part
 from ..io.meshes import load_mesh
 from ..io.shapes import sphere
@@ -30,10 +31,11 @@ from ..io.transforms import NAMES
 from ..io.views import Views, load_gltf_views, photographs
 from ..io.write_obj import encode_obj
 from .limits import side
+from .targets import large
 
 VERTICES = 2562
 LONGER = 400  # pixels of a view's longer side, at most, to begin with
-MANY = 32  # views from which one is shown a step
+MANY = 16  # views from which one is shown a step
 LOOKED = 6  # pictures that are opened to see what they are
 UNIFORM = 0.06  # how far a plain backdrop's colours are from each other, in the cube of colours over sqrt 3
 MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
@@ -45,15 +47,19 @@ NO_MASKS = ("where the object is cannot be told: {picture} has no alpha, no fold
 
 @dataclass(frozen=True)
 class Start:
-    """text: the job. told: what was seen, sentence by sentence. files: more files that the job names, by name beside it."""
+    """text: the job. told: what was seen, sentence by sentence. files: more files that the job names, by name beside it. carved: whether
+    it starts from the hull of the masks. apart: the folder of the pictures, where they are so many that its bundle is without them."""
 
     text: str
     told: tuple[str, ...]
     files: dict[str, bytes] = field(default_factory=dict)
+    carved: bool = False
+    apart: Path | None = None
 
 
-def starting_job(folder: str | Path, beside: str | Path, name: str = "job") -> Start:
-    """A job for the pictures in `folder`, to be written into the folder `beside`; other files begin with `name`. Raises InputError."""
+def starting_job(folder: str | Path, beside: str | Path, name: str = "job", hull: bool = True) -> Start:
+    """A job for the pictures in `folder`, to be written into the folder `beside`; other files begin with `name`. hull: start from the hull
+    of the masks where they have one, unless the folder has a mesh; False: from a sphere then. Raises InputError."""
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{shown(folder)} is no folder; name the one with the pictures")
@@ -65,10 +71,11 @@ def starting_job(folder: str | Path, beside: str | Path, name: str = "job") -> S
     missing = ["pictures that do not exist are left out"] if found.skip else []
     told = [f"{len(views)} pictures of {_sizes(found.pictures)}, cameras from {shown(found.file.name)}", *missing, *told,
             f"the object is about {radius:.3g} in radius, around ({', '.join(f'{x:.3g}' for x in middle)}), as the masks say"]
-    mesh, painted, files = _mesh(folder, found.file, middle, radius, Path(beside), f"{name}_start", told)
+    begin = _mesh(folder, found.file, views, middle, radius, Path(beside), f"{name}_start", hull, told)
     near, far = _planes(views.cameras, middle, radius)
-    text = _text(_relative(folder, beside), [*found.keys(beside), *keys], size, views, mesh, painted, radius, near, far, told)
-    return Start(text, tuple(told), files)
+    text = _text(_relative(folder, beside), [*found.keys(beside), *keys], size, views, begin, radius, near, far, told)
+    apart = found.folder if large(len(views), views.cameras[0].width, views.cameras[0].height) else None
+    return Start(text, tuple(told), begin.files, begin.carved, apart)
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,11 @@ class _Found:
         if self.key == "gltf":
             return load_gltf_views(self.file, self.pictures[0].parent, size, masks=masks)
         return photographs(read_cameras(self.file, None, self.skip), size, 1e-6, 1e6, masks=masks)
+
+    @property
+    def folder(self) -> Path:
+        """What `run --views` takes."""
+        return self.pictures[0].parent if self.key == "gltf" else self.file if self.file.is_dir() else self.file.parent
 
     def keys(self, beside) -> list[str]:
         images = [f"images = {_quoted(_relative(self.pictures[0].parent, beside))}"] if self.key == "gltf" else []
@@ -186,22 +198,47 @@ def _object(views: Views) -> tuple[np.ndarray, float]:
     return middle, radius
 
 
-def _mesh(folder: Path, cameras: Path, middle: np.ndarray, radius: float, beside: Path, name: str,
-          told: list[str]) -> tuple[str, str, dict[str, bytes]]:
-    """A line of [mesh], a mesh file of the folder where there is one, else a sphere within the object; and what is painted on it, "texture"
-    or, without texture coordinates, "colors"."""
+@dataclass(frozen=True)
+class _Begin:
+    """lines: of [mesh]. painted: on it, "texture" or, without texture coordinates, "colors". carved: it is the
+    hull of the masks, which has the object's shape but for hollows. files: that the lines name, by name."""
+
+    lines: tuple[str, ...]
+    painted: str = "texture"
+    carved: bool = False
+    files: dict[str, bytes] = field(default_factory=dict)
+
+
+def _mesh(folder: Path, cameras: Path, views: Views, middle: np.ndarray, radius: float, beside: Path, name: str,
+          hull: bool, told: list[str]) -> _Begin:
+    """A mesh file of the folder where there is one, else the hull of the masks where it is wanted and there is one, else a sphere within
+    the object."""
     given = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in MESHES and p != cameras]
     if len(given) == 1:
         told.append(f"it starts from {shown(given[0].name)}")
         painted = "colors" if load_mesh(given[0]).uvs is None else "texture"
-        return f"path = {_quoted(_relative(given[0], beside))}", painted, {}
+        return _Begin((f"path = {_quoted(_relative(given[0], beside))}",), painted)
     start = 0.6 * radius
-    if np.linalg.norm(middle) < 0.1 * radius:
-        return f"sphere = {{vertices = {VERTICES}, radius = {start:.3g}}}", "texture", {}
-    ball = sphere(VERTICES, radius=start)
-    ball = replace(ball, positions=ball.positions + middle)
-    told.append(f"it starts from a sphere in {name}.obj, for the object is not at the origin")
-    return f"path = {_quoted(f'{name}.obj')}", "texture", encode_obj([Part("start", ball, Material("start"))], name)
+    central = np.linalg.norm(middle) < 0.1 * radius
+    ball = f"sphere = {{vertices = {VERTICES}, radius = {start:.3g}}}"
+    misses = None
+    try:
+        misses = misses_of(views) if hull else None
+    except InputError as error:
+        told.append(f"it starts from a sphere, not from the hull of the masks: {error}")
+    if misses is not None:
+        lack = f"; they do not agree everywhere, and what {misses} lack{'s' * (misses == 1)} is kept"
+        why = lack if misses else ": what all of them allow"
+        told.append(f"it starts from the hull of the masks{why}")
+        lines = [f"hull = {{vertices = {VERTICES}{f', misses = {misses}' if misses else ''}}}",
+                 *([f"# or, with three times the steps: {ball}"] if central else [])]
+        return _Begin(tuple(lines), carved=True)
+    if central:
+        return _Begin((ball,))
+    moved = sphere(VERTICES, radius=start)
+    moved = replace(moved, positions=moved.positions + middle)
+    told.append(f"the sphere is in {name}.obj, for the object is not at the origin")
+    return _Begin((f"path = {_quoted(f'{name}.obj')}",), files=encode_obj([Part("start", moved, Material("start"))], name))
 
 
 def _planes(cameras: Sequence[Camera], middle: np.ndarray, radius: float) -> tuple[float, float]:
@@ -218,26 +255,28 @@ def _sizes(pictures: Sequence[Path]) -> str:
     return f"{different[0][0]} x {different[0][1]}" + (f" to {different[-1][0]} x {different[-1][1]}" if len(different) > 1 else "")
 
 
-def _text(folder: str, keys: Sequence[str], size: int, views: Views, mesh: str, painted: str, radius: float, near: float,
-          far: float, told: Sequence[str]) -> str:
+def _text(folder: str, keys: Sequence[str], size: int, views: Views, begin: _Begin, radius: float, near: float, far: float,
+          told: Sequence[str]) -> str:
     shuffled = len(views) > MANY
-    steps = (1500, 800) if shuffled else (600, 200)
-    hull = [] if mesh.startswith("path") and "_start.obj" not in mesh else [
-        f"# or, carved out of the masks, for a third of the steps: hull = {{vertices = {VERTICES}}}   (pip install 'dressi_edge[hull]')"]
-    number = f"{0.01 * radius:.2g}", f"{0.001 * radius:.2g}", f"{0.05 / radius:.2g}"
+    steps = ((500, 300) if shuffled else (200, 100)) if begin.carved else (1500, 800) if shuffled else (600, 200)
+    first, last = (0.003, 0.0003) if begin.carved else (0.01, 0.001)  # of the radius, a step
+    rate = f"{{start = {first * radius:.2g}, end = {last * radius:.2g}}}"
+    smooth = [f"weight = {{start = {20.0 / radius ** 2:.2g}, end = {4.0 / radius ** 2:.2g}}}", "power = 2", "[[phase.loss]]",
+              'kind = "normal_consistency"', "weight = 0.02"] if begin.carved else [f"weight = {0.05 / radius:.2g}"]
+    texels = 256 if size < 362 else 512
     return "\n".join([
         f"# A starting job for the pictures in {folder}; every key: docs/job.md", *(f"# - {line}" for line in told), "",
-        "[mesh]", mesh, *hull, "", "[views]", *keys,
+        "[mesh]", *begin.lines, "", "[views]", *keys,
         f"size = {size}".ljust(34) + "# of a view's longer side; more shows more and takes longer",
         f"near = {near:.3g}", f"far = {far:.3g}",
         *(['order = "shuffle"'.ljust(34) + "# one view a step, for there are many"] if shuffled else []), "",
-        "[render]", "r = 2.0".ljust(34) + "# pixels over which an outline is soft", "",
-        "[[phase]]", 'name = "shape"', f"steps = {steps[0]}",
-        f'optimize.vertices = {{optimizer = "adam", rate = {{start = {number[0]}, end = {number[1]}}}}}',
+        "[render]", "r = 2.0".ljust(34) + "# pixels over which an outline is soft",
+        *([f"texture_size = [{texels}, {texels}]"] if begin.carved else []), "",
+        "[[phase]]", 'name = "shape"', f"steps = {steps[0]}", f'optimize.vertices = {{optimizer = "adam", rate = {rate}}}',
         "[[phase.loss]]", 'kind = "silhouette"', "[[phase.loss]]", 'kind = "laplacian"'.ljust(34) + "# smooth; more weight, fewer dents",
-        f"weight = {number[2]}", "",
-        "[[phase]]", f'name = "{painted}"', f"steps = {steps[1]}", "r = 1.0", "delta = 0.0",
-        f'optimize.{painted} = {{optimizer = "adam", rate = {{start = 0.05, end = 0.005}}}}',
+        *smooth, "",
+        "[[phase]]", f'name = "{begin.painted}"', f"steps = {steps[1]}", "r = 1.0", "delta = 0.0",
+        f'optimize.{begin.painted} = {{optimizer = "adam", rate = {{start = 0.05, end = 0.005}}}}',
         "# optimize.gain = {rate = 0.003}".ljust(34) + "# where pictures were not exposed or balanced alike",
         "[[phase.loss]]", 'kind = "color"', "masked = true"]) + "\n"
 
