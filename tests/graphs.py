@@ -13,6 +13,7 @@ from dressi_edge.compiler.check_op import image_layout, layout_of, rounded  # no
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, compose, constant_table, dot, gather_sum, lookup, mean, total
 from dressi_edge.compiler.graph.ir import image, is_int, table, vector_type
+from dressi_edge.compiler.graph.ops.pixels import sum_named
 from dressi_edge.compiler.graph.program import Program
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -149,8 +150,7 @@ class Graph:
         if self.rng.random() < 0.5:
             return lookup(self.pick(None, extent_named("table")), self.indices["wide"], constant_table(box))
         index, box = self.indices["wide"], constant_table(box)
-        bins = apply("bin_names", index)
-        return self._bounded(apply("segment_sum", self.pick(None, extent_named("wide")), index, box, bins))
+        return self._bounded(sum_named(self.pick(None, extent_named("wide")), index, box))
 
     def _fetch(self, a):
         wide = extent_named("wide")

@@ -243,10 +243,11 @@ def cases():
     assert 0 < occupied.mean() < 1
     out["occupied", "sparse"] = Case([sparse], {"width": 8, "height": 8}, 0)
     out["occupied", "tiles"] = Case([sparse], {"width": 16, "height": 8}, 0)
-    bins = OPS["bin_names"].ref(sparse)
+    fours = OPS["in_fours"].ref(sparse)
+    bins = OPS["bin_names"].ref(fours)
     assert 0 < (bins != 0).mean() < 1
-    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), sparse, boxes, bins], {}, DEFAULT_RTOL)
-    many = rng.permutation(20 * 35).reshape(20, 35, 1)  # entries that share a bit
+    out["segment_sum", "sparse"] = Case([rng.normal(size=(20, 35, 2)), fours, boxes, bins], {}, DEFAULT_RTOL)
+    many = OPS["in_fours"].ref(rng.permutation(20 * 35).reshape(20, 35, 1))  # entries that share a bit
     whole = to_table(np.tile([0, 0, 35, 20], (700, 1)))
     out["segment_sum", "many"] = Case([rng.normal(size=(20, 35, 1)), many, whole, OPS["bin_names"].ref(many)], {}, DEFAULT_RTOL)
     out["bin_names", "many"] = Case([many], {}, 0)

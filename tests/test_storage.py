@@ -19,6 +19,7 @@ from dressi_edge.compiler import Options, Program, build
 from dressi_edge.compiler.graph.functions import apply, constant_table, dot, lookup, total
 from dressi_edge.compiler.graph.ir import topological
 from dressi_edge.compiler.graph.ops.half import LARGEST
+from dressi_edge.compiler.graph.ops.pixels import sum_named
 from dressi_edge.compiler.graph.optable import OPS
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
@@ -163,7 +164,7 @@ def test_what_is_known_beforehand_is_stored_in_half_too(gpu):
     index = apply("imod", apply("texel_index", extent=weights.extent), 4)
     box = constant_table(np.tile([0, 0, 8, 8], (4, 1)))
     kept = apply("sin", apply("exp", apply("cos", weights)))
-    g = apply("segment_sum", kept, index, box, apply("bin_names", index))
+    g = sum_named(kept, index, box)
     program.plan("step", {"scale": scale * 0.5}, {"g": (g * lookup(scale, np.zeros(4, int)), table)})
     d = build(program, Profile.load("lavapipe"), Options(storage="half")).description
     assert sum(i["format"] in HALF_FORMATS for i in d["images"]) == 1

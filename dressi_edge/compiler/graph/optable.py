@@ -142,6 +142,7 @@ class Op:
     banded: Callable | None = None  # values, index, boxes, bins, bands= -> the sums over boxes, of so many bands of rows side by side
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)
     named: tuple[int, int, int] | None = None  # (input, other, none): that input's texels are of use only where the other's are not none
+    regroups: bool = False  # the result names what its only input does, at other texels
     covers: tuple[int, int] | None = None  # (input, none): where a texel of the result is 0 all that it stands for are none
     alike: tuple[tuple[int, int], ...] = ()  # (input, other): read at places of the other, so of its extent; 1 x 1 is broadcast to it
     lower: Callable | None = None  # of a composite: inputs, attributes, room= bytes that workgroups share or None -> what it is made of

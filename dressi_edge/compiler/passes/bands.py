@@ -58,8 +58,8 @@ def _largest(boxes: Sequence[Node], program: Program) -> list[float]:
 
 def _bands(node: Node, pixels: float) -> int:
     """In how many bands: none has more pixels than a loop may, and all of them together are not more entries than there are pixels."""
-    _, index, boxes, _ = node.inputs
+    values, _, boxes, _ = node.inputs
     if pixels * GROWTH <= PIXELS:
         return 1
-    wanted = math.ceil(min(pixels * GROWTH, index.extent.count) / PIXELS)
-    return max(1, min(wanted, index.extent.count // boxes.extent.count))
+    wanted = math.ceil(min(pixels * GROWTH, values.extent.count) / PIXELS)
+    return max(1, min(wanted, values.extent.count // boxes.extent.count))

@@ -149,7 +149,8 @@ class _Use:
 
         def of_no_use(n: Node, k: int) -> bool:
             mine, other, none = n.op.named or (-1, 0, 0)
-            return k == mine and named.get(n.inputs[other]) == none
+            by = n.inputs[other]
+            return k == mine and named.get(by.inputs[0] if by.op.regroups else by) == none
         return x not in self.roots and all(of_no_use(n, k) for n, k in self.reads[x])
 
     def after_the_last(self, x: Node) -> int | None:

@@ -8,12 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..ir import table
+from ..ir import Extent, Node, table
 from ..optable import Loop, apply, at, negative, op, zero
 from .lookup import LOOKUP, lookup_infer, lookup_ref, to_table
 from .reduce import tiles_of
 
 BIN = 8  # pixels a side of a bin of names
+FOUR = 4  # pixels of a row in one texel
 
 
 def _boxed_sample(rng):
@@ -22,7 +23,8 @@ def _boxed_sample(rng):
     return [to_table(rng.normal(size=(6, 3))), index, to_table(box)], {}
 
 
-def _segment_ref(values, index, box, *_, **attrs):
+def _sums(values, index, box):
+    """For each box the sum of the values of its pixels that name it."""
     out = np.zeros((box.shape[0] * box.shape[1], values.shape[2]))
     ys, xs = np.nonzero((index[..., 0] >= 0) & (index[..., 0] < len(out)))
     entry = index[ys, xs, 0]
@@ -34,8 +36,7 @@ def _segment_ref(values, index, box, *_, **attrs):
 
 op("lookup_boxed", "entries index box", attrs="", alike=((2, 0),), when=negative(1), infer=lookup_infer, reads="texel own texel",
    ref=lookup_ref, cost=8, glsl=LOOKUP, sample=_boxed_sample,
-   vjp=lambda g, y, entries, index, box: (
-       apply("segment_sum", g, index, box, apply("bin_names", index)), None, None),
+   vjp=lambda g, y, entries, index, box: (sum_named(g, index, box), None, None),
    doc="A table's entry by a computed index; `box` bounds, for each entry, the pixels that may name it.")
 
 
@@ -61,63 +62,128 @@ for _name, _glsl, _test, _covers, _what in (("occupied", ">= 0", lambda x: x >= 
        sample=lambda rng: ([rng.integers(-60, 3, (17, 20, 1))], {"width": 8, "height": 8}),
        doc=f"1 for each tile of width x height pixels in which some {_what}.")
 
-def _bin_names_ref(index):
+
+def _in_fours_ref(index):
     h, w, _ = index.shape
-    out = np.zeros((-(-h // BIN), -(-w // BIN), 4), np.int64)
-    for y, x in np.argwhere(index[..., 0] >= 0):
-        k = index[y, x, 0]
-        out[y // BIN, x // BIN, k >> 5 & 3] |= 1 << (k & 31)
+    out = np.full((h, -(-w // FOUR) * FOUR), -1, np.int64)
+    out[:, :w] = index[..., 0]
+    return out.reshape(h, -1, FOUR)
+
+
+def fours_of(extent: Extent) -> Extent:
+    """The extent of an image with one texel for four of a row."""
+    return tiles_of(extent, FOUR, 1)
+
+
+op("in_fours", "index", reads="texel", ref=_in_fours_ref, cost=8, regroups=True,
+   infer=lambda name, inputs, attrs: ("ivec4", fours_of(inputs[0].extent)),
+   glsl=f"""{{ int a_ = {{p}}.x * {FOUR}, last_ = {{index_w}} - 1 - a_;
+    {{y}} = ivec4({{index}}(ivec2(a_, {{p}}.y)), last_ < 1 ? -1 : {{index}}(ivec2(a_ + 1, {{p}}.y)),
+                  last_ < 2 ? -1 : {{index}}(ivec2(a_ + 2, {{p}}.y)), last_ < 3 ? -1 : {{index}}(ivec2(a_ + 3, {{p}}.y))); }}""",
+   sample=lambda rng: ([rng.integers(-300, 300, (7, 10, 1))], {}),
+   doc="An index, four pixels of a row in one texel, which is read at once; -1 beyond the last pixel.")
+
+
+def _one_infer(name, inputs, attrs):
+    if inputs[0].vtype != "ivec4" or inputs[0].extent != fours_of(attrs["extent"]):
+        raise GraphError(f"{name}: {inputs[0]!r} is not what in_fours makes of {attrs['extent']}")
+    return "int", attrs["extent"]
+
+
+op("one_of_fours", "fours", attrs="extent", reads="texel", cost=4,
+   ref=lambda fours, extent: fours.reshape(fours.shape[0], -1, 1)[:, :extent.width],
+   infer=_one_infer,
+   glsl=f"""{{ ivec4 all_ = {{fours}}(ivec2({{p}}.x / {FOUR}, {{p}}.y)); int k_ = {{p}}.x % {FOUR};
+    {{y}} = k_ == 0 ? all_.x : k_ == 1 ? all_.y : k_ == 2 ? all_.z : all_.w; }}""",
+   sample=lambda rng: ([rng.integers(-300, 300, (7, 3, 4))], {"extent": Extent(10, 7, 70)}),
+   doc="What in_fours was made of.")
+
+
+def _bin_names_ref(fours):
+    h, w, _ = fours.shape
+    out = np.zeros((-(-h // BIN), -(-w * FOUR // BIN), 4), np.int64)
+    for y, x, c in np.argwhere(fours >= 0):
+        k = fours[y, x, c]
+        out[y // BIN, x * FOUR // BIN, k >> 5 & 3] |= 1 << (k & 31)
     return (out + 2 ** 31) % 2 ** 32 - 2 ** 31
 
 
 _NAME_BIT = "ivec4 name_bit(int k) { return ivec4(equal(ivec4(k >> 5 & 3), ivec4(0, 1, 2, 3))) * (1 << (k & 31)); }"
-op("bin_names", "index", reads="texel", ref=_bin_names_ref, cost=64, functions=_NAME_BIT,
-   infer=lambda name, inputs, attrs: ("ivec4", tiles_of(inputs[0].extent, BIN, BIN)),
-   glsl=f"""{{ ivec2 lo_ = {{p}} * {BIN}, hi_ = min(lo_ + {BIN}, ivec2({{index_w}}, {{index_h}}));
+op("bin_names", "fours", reads="texel", ref=_bin_names_ref, cost=64, functions=_NAME_BIT,
+   infer=lambda name, inputs, attrs: ("ivec4", tiles_of(inputs[0].extent, BIN // FOUR, BIN)),
+   glsl=f"""{{ ivec2 size_ = ivec2({BIN // FOUR}, {BIN}), lo_ = {{p}} * size_, hi_ = min(lo_ + size_, ivec2({{fours_w}}, {{fours_h}}));
     {{y}} = ivec4(0);
     for (int b_ = lo_.y; b_ < hi_.y; ++b_) for (int a_ = lo_.x; a_ < hi_.x; ++a_) {{
-    int k_ = {{index}}(ivec2(a_, b_));
-    if (k_ >= 0) {{y}} |= name_bit(k_); }} }}""",
-   sample=lambda rng: ([rng.integers(-300, 300, (17, 20, 1))], {}),
+    ivec4 k_ = {{fours}}(ivec2(a_, b_));
+    if (k_.x >= 0) {{y}} |= name_bit(k_.x);
+    if (k_.y >= 0) {{y}} |= name_bit(k_.y);
+    if (k_.z >= 0) {{y}} |= name_bit(k_.z);
+    if (k_.w >= 0) {{y}} |= name_bit(k_.w); }} }}""",
+   sample=lambda rng: ([rng.integers(-300, 300, (17, 5, 4))], {}),
    doc=f"For each bin of {BIN} x {BIN} pixels which entries some pixel names: bit k mod 128 is set for each entry k.")
 
 
+def sum_named(values: Node, index: Node, box: Node) -> Node:
+    """For each entry of a table the sum of the values (1 x 1 or of the index's extent) of the pixels that name it; all lie in its box."""
+    e = index.extent
+    values = values if (values.extent.width, values.extent.height) == (e.width, e.height) else apply("broadcast", values, extent=e)
+    fours = apply("in_fours", index)
+    return apply("segment_sum", values, fours, box, apply("bin_names", fours))
+
+
 def _segment_infer(name, inputs, attrs):
-    values, index, box, bins = inputs
-    if (index.vtype, box.vtype, bins.vtype) != ("int", "ivec4", "ivec4") or bins.extent != tiles_of(index.extent, BIN, BIN):
-        raise GraphError(f"{name}: an int index, ivec4 boxes and the index's bin_names are needed, got {index!r}, {box!r}, {bins!r}")
+    values, fours, box, bins = inputs
+    if ((fours.vtype, box.vtype, bins.vtype) != ("ivec4", "ivec4", "ivec4") or fours.extent != fours_of(values.extent)
+            or bins.extent != tiles_of(fours.extent, BIN // FOUR, BIN)):
+        raise GraphError(f"{name}: values, their index in_fours, ivec4 boxes and the bin_names of those are needed, got {values!r}, "
+                         f"{fours!r}, {box!r}, {bins!r}")
     return values.vtype, box.extent
 
 
-# Bin by bin, those skipped in which nothing can name the entry, from pixel to pixel that does. Machines that run several entries at once
-# turn as often as the longest needs, and those that cannot branch around a body run it once for each pixel added, not for each tried.
-_BINS = f"""{{ ivec4 mine_ = name_bit({{i}}), box_ = clamp({{box}}, ivec4(0), ivec4({{index_w}}, {{index_h}}, {{index_w}}, {{index_h}}));
-ivec2 bin_ = ivec2(box_.x / {BIN} - 1, box_.y / {BIN}), q_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
+def _segment_ref(values, fours, box, *_):
+    return _sums(values, fours.reshape(fours.shape[0], -1, 1)[:, :values.shape[1]], box)
+
+
+# Bin by bin, those skipped in which nothing can name the entry, four pixels of a row at once, from pixel to pixel that does. Machines that
+# run several entries at once turn as often as the longest needs, and those that cannot branch around a body run it once for each pixel
+# added, not for each tried.
+_BINS = f"""{{ ivec2 most_ = ivec2({{values_w}}, {{values_h}});
+ivec4 mine_ = name_bit({{i}}), box_ = clamp({{box}}, ivec4(0), ivec4(most_, most_));
+ivec2 bin_ = ivec2(box_.x / {BIN} - 1, box_.y / {BIN}), at_ = ivec2(0), lo_ = ivec2(0), hi_ = ivec2(0);
+int hits_ = 0;
 for (;;) {{
-bool found_ = false;
-for (bool left_ = true; left_ && !found_;) {{
-if (++q_.x >= hi_.x) {{ ++q_.y; q_.x = lo_.x; }}
-if (q_.y >= hi_.y) {{
+for (bool left_ = true; left_ && hits_ == 0;) {{
+at_.x += {FOUR};
+if (at_.x >= hi_.x) {{ ++at_.y; at_.x = lo_.x; }}
+if (at_.y >= hi_.y) {{
 if (++bin_.x * {BIN} >= box_.z) {{ bin_.x = box_.x / {BIN}; ++bin_.y; }}
 left_ = bin_.y * {BIN} < box_.w;
 lo_ = max(bin_ * {BIN}, box_.xy);
+lo_.x &= ~{FOUR - 1};
 hi_ = left_ && any(notEqual({{bins}}(bin_) & mine_, ivec4(0))) ? min(bin_ * {BIN} + {BIN}, box_.zw) : ivec2(0);
-q_ = lo_;
+at_ = lo_;
 }}
-found_ = q_.y < hi_.y && {{index}}(q_) == {{i}};
+ivec4 found_ = ivec4(equal({{fours}}(ivec2(at_.x / {FOUR}, at_.y)), ivec4({{i}})));
+int inside_ = {2 ** FOUR - 1} << max(box_.x - at_.x, 0) & {2 ** FOUR - 1} >> max(at_.x + {FOUR} - box_.z, 0);
+hits_ = at_.y < hi_.y ? (found_.x | found_.y << 1 | found_.z << 2 | found_.w << 3) & inside_ : 0;
 }}
-if (!found_) break;"""
+if (hits_ == 0) break;
+ivec2 q_ = at_;
+q_.x += (hits_ & 1) != 0 ? 0 : (hits_ & 2) != 0 ? 1 : (hits_ & 4) != 0 ? 2 : 3;
+hits_ &= hits_ - 1;"""
 
-def _in_bands(values, index, box, bins, bands):
+
+def _in_bands(values, fours, box, bins, bands):
     how = {"bands": bands, "count": box.extent.count}
-    return apply("band_total", apply("segment_sum_banded", values, index, box, bins, **how), **how)
+    return apply("band_total", apply("segment_sum_banded", values, fours, box, bins, **how), **how)
 
 
-op("segment_sum", "values index box bins", attrs="", alike=((0, 1),), sums=(0,), named=(0, 1, -1), infer=_segment_infer,
+op("segment_sum", "values fours box bins", attrs="", sums=(0,), named=(0, 1, -1), infer=_segment_infer,
    reads="texel texel own texel", ref=_segment_ref, cost=400, functions=_NAME_BIT, banded=_in_bands,
-   vjp=lambda g, y, values, index, box, bins: (apply("lookup", g, index), None, None, None),
+   vjp=lambda g, y, values, fours, box, bins: (
+       apply("lookup", g, apply("one_of_fours", fours, extent=values.extent)), None, None, None),
    loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
-   sample=lambda rng: ([rng.normal(size=(8, 9, 3)), rng.integers(-1, 6, (8, 9, 1)),
+   sample=lambda rng: ([rng.normal(size=(8, 9, 3)), _in_fours_ref(rng.integers(-1, 6, (8, 9, 1))),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.full((1, 2, 4), -1)], {}),
    doc="Transpose of lookup_boxed: for each entry the sum, over the bins of its box that may hold any (`bin_names`), of the pixels that "
        "name it.")
@@ -137,12 +203,12 @@ def _rows_of(top, bottom, bands, band):
     return np.maximum(top, (first + band * each) * BIN), np.minimum(bottom, (first + (band + 1) * each) * BIN)
 
 
-def _banded_ref(values, index, box, bins, bands, count):
+def _banded_ref(values, fours, box, bins, bands, count):
     parts = []
     for band in range(bands):
         part = box.copy()
         part[..., 1], part[..., 3] = _rows_of(box[..., 1], box[..., 3], bands, band)
-        parts.append(_segment_ref(values, index, part).reshape(-1, values.shape[2])[:count])
+        parts.append(_segment_ref(values, fours, part).reshape(-1, values.shape[2])[:count])
     return to_table(np.stack(parts, 1).reshape(-1, values.shape[2]))
 
 
@@ -152,10 +218,10 @@ int top_ = rows_.y / {BIN}, each_ = ((rows_.w + {BIN - 1}) / {BIN} - top_ + {{ba
 top_ += band_ * each_;
 rows_.yw = ivec2(max(rows_.y, top_ * {BIN}), min(rows_.w, (top_ + each_) * {BIN}));
 """
-op("segment_sum_banded", "values index box bins", attrs="bands count", alike=((0, 1),), sums=(0,), named=(0, 1, -1), infer=_banded_infer,
+op("segment_sum_banded", "values fours box bins", attrs="bands count", sums=(0,), named=(0, 1, -1), infer=_banded_infer,
    reads="texel texel texel texel", ref=_banded_ref, cost=400, functions=_NAME_BIT,
    loop=Loop(_BAND + _BINS.replace("{i}", "entry_").replace("{box}", "rows_"), "{y} += {values}(q_);", "} } }"),
-   sample=lambda rng: ([rng.normal(size=(30, 9, 3)), rng.integers(-1, 6, (30, 9, 1)),
+   sample=lambda rng: ([rng.normal(size=(30, 9, 3)), _in_fours_ref(rng.integers(-1, 6, (30, 9, 1))),
                         to_table(np.tile(np.array([0, 3, 9, 29]), (6, 1))), np.full((4, 2, 4), -1)], {"bands": 3, "count": 6}),
    doc="segment_sum of each of so many bands of rows of an entry's box: entry k's are the entries k * bands and after.")
 
@@ -222,7 +288,7 @@ op("lookup_near", "entries places box segment center", alike=((2, 0), (3, 0), (4
        "`places`, int or ivec4, names, counted from 1, 0 for none: sums over several channels share one loop.")
 op("capsule_sum", "values places box segment center", alike=((0, 1),), sums=(0,), named=(0, 1, 0), infer=at(2),
    reads="texel texel own own own", cost=300,
-   ref=lambda values, places, box, *_, channel, reach: _segment_ref(values, places[..., channel:channel + 1] - 1, box),
+   ref=lambda values, places, box, *_, channel, reach: _sums(values, places[..., channel:channel + 1] - 1, box),
    vjp=lambda g, y, values, places, *where, **attrs: (apply("lookup_near", g, places, *where, **attrs), None, None, None, None),
    loop=Loop(_CAPSULE, "if (named_[{channel}] == {i} + 1) {y} += {values}(q_);", "} }"),
    sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
