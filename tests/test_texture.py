@@ -14,6 +14,7 @@ from dressi_edge.compiler.graph.ir import UNIT, image, topological
 from dressi_edge.compiler.graph.ops.inverse_uv import inverse_uv
 from dressi_edge.compiler.graph.ops.texture import footprint
 from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.render.material import Texture
 from dressi_edge.compiler.render.optimizer import Adam
 from dressi_edge.compiler.render.texture import sample_texture
 
@@ -299,3 +300,12 @@ def test_wrong_arguments_are_named():
         sample_texture(texture, uv, "border")
     with pytest.raises(GraphError, match="coordinates must be vec2"):
         sample_texture(texture, apply("broadcast", apply("literal", value=0.5), extent=UNIT))
+
+
+@pytest.mark.parametrize("image, shape", [(np.ones((2, 2, 5)), r"\(2, 2, 5\)"), (np.full((2, 2), np.nan), r"\(2, 2, 1\)"),
+                                          (np.zeros((0, 2)), r"\(0, 2, 1\)"), ("wood.png", r"\(\)")])
+def test_a_texture_of_an_array_is_a_constant_and_wrong_ones_are_named(image, shape):
+    given = np.arange(60.0).reshape(4, 5, 3)
+    np.testing.assert_array_equal(Texture(given).image.attrs["data"].array, given)
+    with pytest.raises(InputError, match=f"a texture's image is of shape {shape} .* a node, or an array"):
+        Texture(image)

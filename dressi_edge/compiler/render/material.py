@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cache.errors import GraphError, InputError
-from ..graph.functions import apply, compose, cross, dot, maximum, normalize, select, sqrt
+from ..graph.functions import apply, compose, constant, cross, dot, maximum, normalize, select, sqrt
 from ..graph.ir import UNIT, Node
 from ..graph.optable import as_node
 from .light import PLACED, Light, diffuse
@@ -69,6 +69,7 @@ def moved(corners: np.ndarray, transform) -> np.ndarray:
 class Texture:
     """A source: the sample of an image of 1 to 4 channels at the surface's texture coordinates, or at `uv`, a source of its own.
 
+    image: a node, or an array (h, w) or (h, w, channels) that stays as it is.
     wrap: "repeat", "clamp" or "mirror", or a pair of them, for u and for v. gradient: of the image; `texture.sample_texture` says which.
     transform: 2 x 3 numbers by which the coordinates are moved first (KHR_texture_transform).
     mips: trilinear between mip levels, by how large a pixel is on the face; so a texture that is much finer than the pixels does not alias.
@@ -76,7 +77,7 @@ class Texture:
     through all levels; an optimizer then updates every texel. How the level changes as vertices move is not in gradients.
     srgb: the image holds sRGB values and is decoded before anything is averaged. Raises InputError."""
 
-    image: Node
+    image: Node | np.ndarray
     wrap: Wrap = "repeat"
     gradient: str = "exact"
     uv: Source | None = None
@@ -88,6 +89,15 @@ class Texture:
     def __post_init__(self) -> None:
         wraps_of(self.wrap)
         _matrix(self.transform)
+        if not isinstance(self.image, Node):
+            array = np.asarray(self.image)
+            if array.ndim == 2:
+                array = array[..., None]
+            if (array.dtype.kind not in "fiu" or array.ndim != 3 or 0 in array.shape or array.shape[2] > 4
+                    or not np.isfinite(array).all()):
+                raise InputError(f"a texture's image is of shape {array.shape} and type {array.dtype}; a node, or an array (h, w) or "
+                                 "(h, w, 1 to 4) of finite numbers, is needed")
+            object.__setattr__(self, "image", constant(array.astype(float)))
         if self.mips and not (self.uv is None or isinstance(self.uv, Coordinates)):
             raise InputError(f"a texture with mips has the uv {self.uv!r:.40}; the mesh's own coordinates or Coordinates are needed, of "
                              "which it is known how fast they change")
