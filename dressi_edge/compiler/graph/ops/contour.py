@@ -7,12 +7,10 @@ from __future__ import annotations
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..ir import table
 from ..optable import Draw, op
 from .lookup import constant_table, to_table
 from .raster import AROUND, FUNCTIONS, SEGMENT_VARYINGS
 from .raster_reference import contour_slots, cross2
-from .reduce import tiles_of
 
 
 def _corners(front, clip, faces, face_count, vertices):
@@ -20,6 +18,20 @@ def _corners(front, clip, faces, face_count, vertices):
     ys, xs = np.nonzero(front[..., 0] >= 0)
     view, f = np.divmod(front[ys, xs, 0], face_count)
     return ys, xs, clip.reshape(-1, 4)[view[:, None] * vertices + faces.reshape(-1, 3)[f]]
+
+
+# Of the face front_ at position_, relative to the cell's centre.
+_DEPTH = """if (front_ >= 0) {
+    int view_ = front_ / {face_count};
+    ivec3 c_ = {faces_at}(front_ - view_ * {face_count}) + view_ * {vertices};
+    vec3 s_ = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
+    vec3 h0_ = {clip_at}(c_.x).xyw * s_, h1_ = {clip_at}(c_.y).xyw * s_, h2_ = {clip_at}(c_.z).xyw * s_;
+    vec2 a0_ = h0_.xy - position_ * h0_.z, a1_ = h1_.xy - position_ * h1_.z, a2_ = h2_.xy - position_ * h2_.z;
+    vec3 e_ = vec3(cross2(a1_, a2_), cross2(a2_, a0_), cross2(a0_, a1_)), w_ = vec3(h0_.z, h1_.z, h2_.z);
+    float t_ = e_.x + e_.y + e_.z, size_ = max(max(dot(a0_, a0_), dot(a1_, a1_)), dot(a2_, a2_));
+    float low_ = min(min(w_.x, w_.y), w_.z), high_ = max(max(w_.x, w_.y), w_.z);
+    depth_ = abs(t_) > size_ * 1e-6 ? clamp(dot(e_, w_) / (t_ == 0.0 ? 1.0 : t_), low_, high_) : low_;
+}"""
 
 
 def _depth_ref(front, clip, faces, position, face_count, vertices, cell_w, cell_h):
@@ -57,51 +69,8 @@ def _depth_sample(rng):
 
 op("front_depth", "front clip faces position", attrs="face_count vertices cell_w cell_h", infer=_depth_infer, reads="own texel texel own",
    ref=_depth_ref, cost=60, functions=FUNCTIONS, sample=_depth_sample,
-   glsl="""{y} = 0.0;
-if ({front} >= 0) {
-    int view_ = {front} / {face_count};
-    ivec3 c_ = {faces_at}({front} - view_ * {face_count}) + view_ * {vertices};
-    vec3 s_ = vec3(0.5 * float({cell_w}), 0.5 * float({cell_h}), 1.0);
-    vec3 h0_ = {clip_at}(c_.x).xyw * s_, h1_ = {clip_at}(c_.y).xyw * s_, h2_ = {clip_at}(c_.z).xyw * s_;
-    vec2 a0_ = h0_.xy - {position} * h0_.z, a1_ = h1_.xy - {position} * h1_.z, a2_ = h2_.xy - {position} * h2_.z;
-    vec3 e_ = vec3(cross2(a1_, a2_), cross2(a2_, a0_), cross2(a0_, a1_)), w_ = vec3(h0_.z, h1_.z, h2_.z);
-    float t_ = e_.x + e_.y + e_.z, size_ = max(max(dot(a0_, a0_), dot(a1_, a1_)), dot(a2_, a2_));
-    float low_ = min(min(w_.x, w_.y), w_.z), high_ = max(max(w_.x, w_.y), w_.z);
-    {y} = abs(t_) > size_ * 1e-6 ? clamp(dot(e_, w_) / (t_ == 0.0 ? 1.0 : t_), low_, high_) : low_;
-}""", doc="w of the front face at the pixel's centre, its distance along the camera's axis; 0 where there is none.")
-
-
-def _stepped_ref(depth, width, height, gap):
-    h, w, _ = depth.shape
-    d = depth[..., 0]
-    jump = np.zeros((h, w), bool)
-    for dy, dx in ((0, 1), (1, 0)):
-        a, b = d[:h - dy, :w - dx], d[dy:, dx:]
-        far = (np.minimum(a, b) > 0) & (np.maximum(a, b) > np.minimum(a, b) * (1 + gap))
-        jump[:h - dy, :w - dx] |= far
-        jump[dy:, dx:] |= far
-    padded = np.zeros((-(-h // height) * height, -(-w // width) * width), bool)
-    padded[:h, :w] = jump
-    return padded.reshape(padded.shape[0] // height, height, -1, width).any((1, 3)).astype(np.int64)[..., None]
-
-
-op("stepped", "depth", attrs="width height gap", reads="texel", ref=_stepped_ref, cost=64,
-   infer=lambda name, inputs, attrs: ("int", tiles_of(inputs[0].extent, attrs["width"], attrs["height"])),
-   glsl="""{ ivec2 size_ = ivec2({width}, {height}), lo_ = {p} * size_, hi_ = min(lo_ + size_, ivec2({depth_w}, {depth_h}));
-    ivec2 last_ = ivec2({depth_w}, {depth_h}) - 1;
-    {y} = 0;
-    for (int b_ = lo_.y; b_ < hi_.y && {y} == 0; ++b_)
-    for (int a_ = lo_.x; a_ < hi_.x && {y} == 0; ++a_) {
-        float d_ = {depth}(ivec2(a_, b_));
-        vec4 n_ = vec4({depth}(ivec2(min(a_ + 1, last_.x), b_)), {depth}(ivec2(max(a_ - 1, 0), b_)),
-                       {depth}(ivec2(a_, min(b_ + 1, last_.y))), {depth}(ivec2(a_, max(b_ - 1, 0))));
-        bvec4 far_ = greaterThan(max(n_, vec4(d_)), min(n_, vec4(d_)) * (1.0 + float({gap})));
-        bvec4 there_ = greaterThan(min(n_, vec4(d_)), vec4(0.0));
-        {y} = any(far_) && (far_.x && there_.x || far_.y && there_.y || far_.z && there_.z || far_.w && there_.w) ? 1 : 0;
-    } }""",
-   sample=lambda rng: ([np.repeat(rng.choice([0.0, 1.0, 1.2], (9, 10, 1)), 2, 0)], {"width": 8, "height": 4, "gap": 0.1}),
-   doc="1 for each tile of width x height pixels in which one of two neighbours is further away than the other by more than `gap` times "
-       "its distance, both being somewhere.")
+   glsl="{y} = 0.0;\n" + _DEPTH.replace("front_", "{front}").replace("position_", "{position}").replace("depth_", "{y}"),
+   doc="w of the front face at the pixel's centre, its distance along the camera's axis; 0 where there is none.")
 
 
 def _depth_steps_ref(depth, gap, cell_w, cell_h):
@@ -138,26 +107,6 @@ op("depth_steps", "depth", attrs="gap cell_w cell_h", reads="texel", ref=_depth_
        "distance, both being somewhere, 0 elsewhere.")
 
 
-def _ends_ref(clip, edges, edge_count, vertices, views, near):
-    w, v = clip.reshape(-1, 4)[:views * vertices, 3].reshape(views, vertices), edges.reshape(-1, 4)[:edge_count]
-    ends = np.stack([w[:, v[:, 0]], w[:, v[:, 1]]], -1).reshape(-1, 2)
-    return to_table(1.0 / np.maximum(ends, near))
-
-
-def _ends_infer(name, inputs, attrs):
-    if inputs[0].extent.count != attrs["views"] * attrs["vertices"] or inputs[1].extent.count != attrs["edge_count"]:
-        raise GraphError(f"{name}: {inputs!r} do not fit {attrs['views']} views of {attrs['vertices']} vertices and {attrs['edge_count']} "
-                         "edges")
-    return "vec2", table(attrs["views"] * attrs["edge_count"])
-
-
-op("edge_nearness", "clip edges", attrs="edge_count vertices views near", infer=_ends_infer, reads="texel texel", ref=_ends_ref, cost=10,
-   sample=lambda rng: ([to_table(rng.uniform(0.05, 3, (16, 4))), constant_table(rng.integers(0, 8, (12, 4)))],
-                       {"edge_count": 12, "vertices": 8, "views": 2, "near": 0.1}),
-   glsl="""{ int view_ = {i} / {edge_count}; ivec4 v_ = {edges_at}({i} - view_ * {edge_count}) + view_ * {vertices};
-    {y} = 1.0 / max(vec2({clip_at}(v_.x).w, {clip_at}(v_.y).w), vec2({near})); }""",
-   doc="1 / w at the two ends of each edge, clipped to the near plane: linear on screen.")
-
 _CONTOUR = """
 ivec2 cell_size = ivec2({cell_w}, {cell_h});
 vec2 q = gl_FragCoord.xy - center, along = segment.zw - segment.xy;
@@ -166,7 +115,17 @@ vec2 foot = segment.xy + t * along, across = foot - q;
 float d = length(across);
 ivec2 beyond = ivec2(floor(foot + across / max(d, 1e-10) + 0.5 * vec2(cell_size)));
 beyond = ivec2(center - 0.5 * vec2(cell_size)) + clamp(beyond, ivec2(0), cell_size - 1);
-float own = {depth}(pixel), other = {depth}(beyond), limit = (1.0 + float({gap})) / mix(nearness.x, nearness.y, t);
+vec2 depths_ = vec2(0.0);
+for (int k_ = 0; k_ < 2; ++k_) {
+    ivec2 at_ = k_ == 0 ? pixel : beyond;
+    int front_ = {front}(at_);
+    float depth_ = 0.0;
+    vec2 position_ = vec2(at_) + 0.5 - center;
+    DEPTH
+    if (k_ == 0) depths_.x = depth_;
+    else depths_.y = depth_;
+}
+float own = depths_.x, other = depths_.y, limit = (1.0 + float({gap})) / mix(nearness.x, nearness.y, t);
 bool covered = own > 0.0 && other > 0.0, outer = own > limit;
 if (!covered || !outer && !(other > limit) || d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h}))
     discard;
@@ -175,15 +134,30 @@ gl_FragDepth = 0.9999 * d / float({radius});
 """
 
 
+
+
+def _contours_ref(segments, nearness, entries, front, clip, faces, count, face_count, vertices, **attrs):
+    h, w, _ = front.shape
+    cell_w, cell_h = attrs["cell_w"], attrs["cell_h"]
+    y, x = np.mgrid[:h, :w]
+    position = np.stack([x % cell_w + 0.5 - cell_w / 2, y % cell_h + 0.5 - cell_h / 2], -1)
+    depth = _depth_ref(front, clip, faces, position, face_count, vertices, cell_w, cell_h)
+    return contour_slots(segments, nearness, entries, depth, count, **attrs)
+
+
 def _contour_infer(name, inputs, attrs):
+    if inputs[5].extent.count != attrs["face_count"] or inputs[4].extent.count % attrs["vertices"]:
+        raise GraphError(f"{name}: {inputs!r} do not fit {attrs['face_count']} faces and views of {attrs['vertices']} vertices")
     return "int", attrs["extent"]
 
 
-op("rasterize_contours", "segments nearness entries depth count", infer=_contour_infer, reads="vertex vertex vertex texel count",
-   attrs="extent radius gap edge_count slots cell_w cell_h columns", stage="raster", ref=contour_slots, cost=200,
+op("rasterize_contours", "segments nearness entries front clip faces count", infer=_contour_infer,
+   reads="vertex vertex vertex texel texel texel count", functions=FUNCTIONS,
+   attrs="extent radius gap edge_count face_count vertices slots cell_w cell_h columns", stage="raster", ref=_contours_ref, cost=200,
    draws=(Draw(AROUND.replace("segment = {segments_at}(slot);", "segment = {segments_at}(slot); nearness = {nearness_at}(slot);")
-               .replace("segment = vec4(0.0);", "segment = vec4(0.0);\nnearness = vec2(1.0);"), _CONTOUR,
+               .replace("segment = vec4(0.0);", "segment = vec4(0.0);\nnearness = vec2(1.0);"), _CONTOUR.replace("DEPTH", _DEPTH),
                (*SEGMENT_VARYINGS, ("vec2", "nearness")), vertices=(6, "slots"), count="count"),),
    doc="For each covered pixel twice the slot of the nearest listed segment within `radius` in its cell that is a contour for it, the "
        "first of equals, plus 1 where the pixel is on its far side; -1 where there is none. Contour: the pixel itself is further away "
-       "than the edge's nearest point, by more than `gap` times its distance, or else the one a pixel beyond that point is.")
+       "than the edge's nearest point, by more than `gap` times its distance, or else the one a pixel beyond that point is. How far away "
+       "a pixel is: w of its face in front at its centre (front_depth).")

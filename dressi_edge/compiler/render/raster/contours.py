@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 from ...graph.functions import apply, clamp, compose, constant_table, length, lookup, maximum, select, sigmoid, stop_gradient, to_int
 from ...graph.ir import Node
+from ...graph.ops.compact import Compact, compact
 from ..atlas import Atlas
 from ..topology import Topology
-from .fragments import BIN, GUARDED, Layer, around, listed_boxes, near_faces
+from .fragments import GUARDED, Layer, around, near_faces
 from .outline import OutlineFragments
 from .softness import Softness
 
@@ -24,19 +25,13 @@ class ContourFragments(OutlineFragments):
 
     def __init__(self, clip: Node, topology: Topology, atlas: Atlas, softness: Softness, near: float, gap: float):
         super().__init__(clip, topology, atlas, softness, near, True)
-        count, r = len(topology.edges), float(softness.r)
-        held, edges = stop_gradient(clip), constant_table(topology.edge_vertices)
-        depth = apply("front_depth", self.front, held, constant_table(topology.sorted_faces), self.position,
-                      face_count=len(topology.faces), vertices=topology.vertex_count, cell_w=atlas.width, cell_h=atlas.height)
-        # Between a pixel and the one across the edge are at most 2 (r + 2) neighbours: one of the steps is at least so high.
-        steps = apply("stepped", depth, width=BIN[0], height=BIN[1], gap=float(gap) / (2.0 * (r + 2.0)))
-        listed = listed_boxes(around(self.folds, self.folds.x < 1e8, r + 1.75, self._view(count), atlas), steps, each=6)
-        segments = self._listed_segments(listed)
+        count, r, listed, segments = len(topology.edges), float(softness.r), self.edges, self.segments_listed
+        held = stop_gradient(clip)
         fixed, exists, view = stop_gradient(segments), listed.entries >= 0, apply("idiv", listed.entries, count)
-        nearness = apply("edge_nearness", held, edges, edge_count=count, vertices=topology.vertex_count, views=atlas.views,
-                         near=float(near))
-        code = apply("rasterize_contours", fixed, lookup(nearness, listed.entries), listed.entries, depth, listed.running,
-                     extent=atlas.extent, radius=r, gap=float(gap), edge_count=count, slots=listed.entries.extent.count, **self.cells)
+        nearness = compose(*(1.0 / maximum(listed.lookup(held, e).w, float(near)) for e in self.ends))  # linear on screen
+        code = apply("rasterize_contours", fixed, nearness, listed.entries, self.front, held, constant_table(topology.sorted_faces),
+                     listed.running, extent=atlas.extent, radius=r, gap=float(gap), edge_count=count, face_count=len(topology.faces),
+                     vertices=topology.vertex_count, slots=listed.entries.extent.count, **self.cells)
         tiles = apply("occupied", code, width=GUARDED[0], height=GUARDED[1])
         place = apply("inside_tiles", apply("shift_right", code, 1) + 1, tiles, tile=GUARDED)
         self.tiles = tiles
@@ -54,6 +49,10 @@ class ContourFragments(OutlineFragments):
         nowhere = apply("broadcast", 0, extent=atlas.extent)  # of a pixel whose own face is another this is not in front
         self.layers = [*self.layers, Layer(face, nowhere, dist, select(self.outer, nearer, 0.0), select(self.outer, foot, beyond),
                                            select(self.outer, apply("bit_and", shown, 3), 3))]
+
+    def _listed(self, folds: Node) -> Compact:
+        """All fold and boundary edges: each may be a contour."""
+        return compact(select(folds.x < 1e8, 1, 0), 6)
 
     @property
     def _middle(self) -> Node:

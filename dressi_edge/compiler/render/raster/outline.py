@@ -27,8 +27,7 @@ class OutlineFragments(Fragments):
         count, r = len(topology.edges), float(softness.r)
         folds = apply("fold_segments", stop_gradient(clip), constant_table(topology.edge_vertices), edge_count=count, views=atlas.views,
                       vertices=topology.vertex_count, near=float(near), cell_w=atlas.width, cell_h=atlas.height)
-        gaps = apply("vacant", self.front, width=BIN[0], height=BIN[1])  # away from them a fold is outline for no pixel
-        edges = listed_boxes(around(folds, folds.x < 1e8, r + 1.75, self._view(count), atlas), gaps, each=6)
+        edges = self._listed(folds)
         segments = self._listed_segments(edges)
         fixed = stop_gradient(segments)
         exists, view = edges.entries >= 0, apply("idiv", edges.entries, count)
@@ -46,8 +45,14 @@ class OutlineFragments(Fragments):
         segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
         dist, point = self._nearest(segment, hard)
         probability = select(place > 0, sigmoid(dist * (1.0 / softness.width)), apply("to_float", hard))
-        self.folds = folds
+        self.edges, self.segments_listed = edges, segments
         self.layers = [Layer(face, hard, dist, probability, point, select(hard, 3, apply("bit_and", shown, 3)))]
+
+    def _listed(self, folds: Node) -> Compact:
+        """The fold and boundary edges that may be outline for some pixel: what is not near a pixel without a face is for none."""
+        gaps = apply("vacant", self.front, width=BIN[0], height=BIN[1])
+        boxes = around(folds, folds.x < 1e8, float(self.softness.r) + 1.75, self._view(len(self.topology.edges)), self.atlas)
+        return listed_boxes(boxes, gaps, each=6)
 
     def _owners(self, edges: Compact, view: Node) -> Node:
         """For each listed edge, four times the face (over all views) that it shows, plus the corner that is not on it."""
