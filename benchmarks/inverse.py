@@ -58,6 +58,7 @@ from dressi_edge.compiler.scene import (  # noqa: E402
     orbit,
     panorama,
     save_png,
+    total_variation,
     uniform_laplacian,
 )
 
@@ -187,9 +188,10 @@ def fit(photos, masks, cameras, folder: Path, options) -> tuple[Thing, np.ndarra
                                       ("surface", count, {"base": 0.02, "maps": 0.02, "sky": 0.03}, True),
                                       ("shape", count, {"vertices": 0.002}, True)):
         seen = s.frame(Outline(r=2.0), phase=name, order="shuffle")
-        shape = {} if name == "surface" else {"mask": l2(seen.alpha, seen.at(mask)), "smooth": (options.smooth, bend)}
+        kept = {"even": (options.even, total_variation(base) + total_variation(rest))} if name == "surface" else {
+            "mask": l2(seen.alpha, seen.at(mask)), "smooth": (options.smooth, bend)}
         s.phase(name, n, {key: adam(rate, n) for key, rate in optimize.items()},
-                **({"color": l1(seen.color, seen.at(photo))} if colors else {}), **shape)
+                **({"color": l1(seen.color, seen.at(photo))} if colors else {}), **kept)
     with session_of(s, folder, options) as session:
         session.step(2 * steps, "outline")
         for _ in range(options.rounds):
@@ -217,6 +219,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=200, help="of each phase and round")
     parser.add_argument("--smooth", type=float, default=1.0, help="the weight of the Laplacian")
+    parser.add_argument("--even", type=float, default=0.02, help="the weight of the maps' total variation")
     parser.add_argument("--samples", type=int, default=128, help="of Mitsuba, a pixel")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--profile", default="lavapipe")

@@ -34,6 +34,7 @@ from dressi_edge.compiler.scene import (
     pyramid_l1,
     ssim,
     ssim_loss,
+    total_variation,
 )
 
 pytest_plugins = ["gpu"]
@@ -92,6 +93,23 @@ def test_mean_square_is_of_entries_and_channels_without_padding():
     value, gradient = evaluate([r := mean_square(node), *gradients(r, [node])], {"k": pixels})
     np.testing.assert_allclose(value.item(), (k * k).mean())
     np.testing.assert_allclose(layout.from_image(gradient), 2 * k / k.size)
+
+
+@pytest.mark.parametrize("power", [1, 2])
+@pytest.mark.parametrize("cell", [None, CELL])
+@pytest.mark.parametrize("vtype, masked", [("float", True), ("vec3", False), ("vec3", True)])
+def test_total_variation_compares_texels_with_those_beside_and_below_in_their_cell(power, cell, vtype, masked):
+    w, h = cell or (14, 12)
+
+    def loop(a, b):
+        x, total = (a * b).reshape(12, 14, -1), 0.0
+        for j, i, c in np.ndindex(x.shape):
+            beside = abs(x[j, i + 1, c] - x[j, i, c]) ** power if (i + 1) % w else 0.0
+            below = abs(x[j + 1, i, c] - x[j, i, c]) ** power if (j + 1) % h else 0.0
+            total += (beside + below) * (MASK[j, i] if masked else 1.0)
+        return total / x.size
+
+    agrees(lambda a, b: total_variation(a * b, power, cell, F.constant(MASK[..., None]) if masked else None), loop, vtype)
 
 
 def cells_of(x, cell=CELL):
@@ -373,6 +391,9 @@ P = F.constant_table(np.zeros((42, 3)))
     (lambda: charbonnier(IMAGE, IMAGE, "small"), "charbonnier: epsilon is 'small'"),
     (lambda: charbonnier(3.0, IMAGE), "charbonnier: the image is 3.0"),
     (lambda: mean_square(4), "mean_square: 4; a float"),
+    (lambda: total_variation(IMAGE, 3), "total_variation: power is 3; 1 or 2"),
+    (lambda: total_variation([1.0]), r"total_variation: the image is \[1.0\]"),
+    (lambda: total_variation(IMAGE, cell=(5, 6)), "not made of whole cells of 5 x 6"),
     (lambda: pyramid_l1(IMAGE, IMAGE, 6), r"pyramid_l1: 6 levels of cells of 14 x 12; 1 to 5"),
     (lambda: pyramid_l1(IMAGE, IMAGE, 2, (5, 6)), "not made of whole cells of 5 x 6"),
     (lambda: ssim(IMAGE, IMAGE, CELL, window=4), "the window is 4 texels wide; an odd number"),

@@ -31,6 +31,7 @@ from ..render.loss import (
     pyramid_l1,
     ssim,
     ssim_loss,
+    total_variation,
     uniform_laplacian,
 )
 from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, NormalMap, Product, Texture, Unlit, Vertex
@@ -55,4 +56,4 @@ __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Ch
            "load_parts", "load_photographs", "load_scene", "load_views", "look_along", "look_at", "mean_square",
            "normal_consistency", "normal_loss", "octahedral", "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid",
            "save_mesh", "save_parts", "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide",
-           "uniform_laplacian", "visual_hull"]
+           "total_variation", "uniform_laplacian", "visual_hull"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ....cache.errors import GraphError
 from ....cache.layout import beyond_fp32
-from ...graph.functions import absolute, apply, convolve, dot, downsample, minimum, normalize, select, sqrt, total
+from ...graph.functions import absolute, apply, convolve, dot, downsample, minimum, normalize, select, shift, sqrt, total
 from ...graph.ir import Node, is_int
 from ...graph.optable import as_node
 
@@ -95,6 +95,21 @@ def mean_square(x: Node) -> Node:
     if not isinstance(x, Node) or is_int(x.vtype):
         raise GraphError(f"mean_square: {x!r:.60}; a float or vec value is needed")
     return _image_mean(dot(x, x), x.channels, None)
+
+
+def total_variation(image: Node, power: int = 1, cell: tuple[int, int] | None = None, mask: Node | None = None) -> Node:
+    """Mean over texels and channels of |right - own|^power + |below - own|^power, 0 beyond the last column and row (Rudin, Osher and Fatemi
+    1992, by axis): what keeps a texture even where no picture tells. power: 1, which leaves edges, or 2.
+
+    cell: (width, height) of the views of an atlas, `frame.cell`; None: one image. mask: a float image in [0, 1] that weighs each texel's
+    two differences. Texels that lie side by side in a texture need not do so on the surface. Raises GraphError."""
+    if power not in (1, 2) or isinstance(power, bool):
+        raise GraphError(f"total_variation: power is {power!r:.40}; 1 or 2 is allowed")
+    if not isinstance(image, Node) or is_int(image.vtype):
+        raise GraphError(f"total_variation: the image is {image!r:.60}; a float or vec image is needed")
+    differences = [shift(image, dx, dy, cell=cell) - image for dx, dy in ((-1, 0), (0, -1))]
+    each = [_channel_sum(absolute(d)) if power == 1 else dot(d, d) for d in differences]
+    return _image_mean(each[0] + each[1], image.channels, mask)
 
 
 def pyramid_l1(image: Node, target: Node, levels: int = 4, cell: tuple[int, int] | None = None, mask: Node | None = None) -> Node:
