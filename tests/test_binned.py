@@ -15,7 +15,7 @@ from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.autodiff import gradients
 from dressi_edge.compiler.graph.functions import apply, compose, dot, lookup, total
 from dressi_edge.compiler.graph.ir import table
-from dressi_edge.compiler.graph.ops import soft, tile_lists
+from dressi_edge.compiler.graph.ops import soft, soft_parts, tile_lists
 from dressi_edge.compiler.graph.ops.bins import Grid
 from dressi_edge.compiler.graph.ops.tile_lists import bin_faces
 from dressi_edge.compiler.graph.reference import evaluate
@@ -301,6 +301,8 @@ def test_a_list_in_parts_is_the_same_picture(gpu, monkeypatch):
     found = []
     for each in (1 << 20, 16, 2):
         monkeypatch.setattr(soft, "EACH", each)
+        if each == 2:
+            monkeypatch.setattr(soft_parts, "capacity", lambda *_: 800)
         s, f = painted(Binned(3.0, gamma=1e-2, depth=RANGE), (97, 75), 2)
         s.vjp("look", ["vertices", "colors"], color=f.color, alpha=f.alpha)
         with runtime.load(gpu.compile(s.program), gpu.device) as d:
@@ -318,14 +320,16 @@ def test_a_list_in_parts_is_the_same_picture(gpu, monkeypatch):
     np.testing.assert_allclose(found[2]["alpha"][~bad], found[0]["alpha"][~bad], atol=1e-5)
 
 
-def test_nearly_fifty_thousand_faces_in_one_tile_are_all_counted(gpu):
-    """More than llvmpipe lets one invocation look at: 600 balls at one place, of which the first half is dark and the second is bright."""
-    ball, n = icosphere(1, 0.7), 600
+@pytest.mark.parametrize("balls, tile, size", [(720, (8, 8), (72, 56)), (200, None, (20, 15))], ids=["tiles", "none"])
+def test_every_face_of_a_long_list_is_counted(gpu, balls, tile, size):
+    """More than llvmpipe lets one invocation look at, 57,600 in one tile; and without tiles, 16,000: balls at one place, of which the first
+    half is dark and the second is bright."""
+    ball, n = icosphere(1, 0.7), balls
     mesh = Mesh(np.tile(ball.positions, (n, 1)), np.concatenate([ball.faces + k * len(ball.positions) for k in range(n)]))
-    s = Scene(orbit(1, [0], 30.0, 36, (72, 56)), BACK)
+    s = Scene(orbit(1, [0], 30.0 if tile else 4.0, 36, size), BACK)
     colors = s.parameter("colors", np.repeat([0.2, 0.8], len(mesh.positions) // 2)[:, None].repeat(3, 1))
     s.add(mesh, material=Unlit(Vertex(colors)))
-    f = s.frame(Binned(2.0, gamma=1e-2, depth=(1.0, 50.0)))
+    f = s.frame(Binned(2.0, gamma=1e-2, depth=(1.0, 50.0), tile=tile))
     s.output("look", color=f.color, alpha=f.alpha, longest=f.fragments.lists.pairs)
     with runtime.load(gpu.compile(s.program), gpu.device) as d:
         color, alpha, pairs = d.get("look.color")[0], d.get("look.alpha")[0], d.get("look.longest")

@@ -36,6 +36,11 @@ PROMISES = {("capsule_sum", "segment"), ("capsule_sum", "center"), ("segment_sum
                                                  ("mip_spans", "entries runs total"), ("mip_meet", "s00 s10 s01 s11 firsts ends"),
                                                  *((name, "faces masks spilled") for name in (
                                                      "soft_alpha", "soft_sums", "soft_most", "soft_heaviest")),
+                                                 ("part_units", "starts"),
+                                                 *((f"soft_{name}_parts", "faces masks spilled units") for name in (
+                                                     "alpha", "sums", "most")),
+                                                 *((f"soft_join_{name}", "starts alpha_parts sums_parts most_parts") for name in (
+                                                     "alpha", "sums", "most")),
                                                  ("mip_texels", "where texture half rest"), ("mip_taken", "each"), ("mip_fold", "each"),
                                                  ("sample_touched", "entries"),
                                                  *((f"mip_sums_{k}", "reads") for k in ("00", "10", "01", "11")),

@@ -41,6 +41,10 @@ most_ = nearer_ ? z_ : most_;
 vec3 color_ = b_.x * {c0_at}(f_) + b_.y * {c1_at}(f_) + b_.z * {c2_at}(f_);
 """
 
+ALPHA_BODY = "{y} = 1.0 - clear_;", "} }"
+SUMS_BODY = "{y} = {y} * keep_ + w_ * vec4(color_, 1.0);", "} }"
+MOST_BODY = "{y} = vec2(near_ || {y}.x != 0.0 ? most_ : 0.0, 1.0 - clear_);", "} }"
+
 _ALPHA_GRADIENT = OVER_BOX.replace("MORE", "") + GEOMETRY + "float by_x_ = {slope}(p_) * probability_;\n" + BY_DISTANCE
 _KEPT = "vec3 k0_ = {c0_at}({i}), k1_ = {c1_at}({i}), k2_ = {c2_at}({i});"
 _BLEND_GRADIENT = (OVER_BOX.replace("MORE", _KEPT) + "vec4 slope_ = {slope}(p_);\nvec2 most_ = {most}(p_);\n" + GEOMETRY + WEIGHTS
@@ -50,7 +54,7 @@ _CORNER = "({corner} == 0 ? g0_ : {corner} == 1 ? g1_ : g2_)"
 _CELLS = "cell_w cell_h columns face_count"
 PAIR = _CELLS + " radius sigma squared hard_only nearest"
 _TILES = "extent views tiles_x tiles_y tile_w tile_h"
-LISTED = _TILES + " first each"
+LISTED = _TILES + " each"
 _DEPTH = " gamma base"
 
 
@@ -85,9 +89,9 @@ def pair_attrs(grid: Grid, radius: float, sigma: float, squared: bool, hard_only
             "sigma": float(sigma), "squared": int(squared), "hard_only": int(hard_only), "nearest": float(nearest)}
 
 
-def listed_attrs(grid: Grid, extent, part: int = 0) -> dict:
-    """Attributes of the ops that go through lists, those of a part of each list."""
-    return {"first": part * EACH, "each": EACH, **_tiles_attrs(grid, extent)}
+def listed_attrs(grid: Grid, extent) -> dict:
+    """Attributes of the ops that go through lists, so many entries of each."""
+    return {"each": EACH, **_tiles_attrs(grid, extent)}
 
 
 def _tiles_attrs(grid: Grid, extent) -> dict:
@@ -192,7 +196,9 @@ def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
     return found
 
 
-EACH = TURNS // 5  # entries of a list that one invocation goes through, at no more than five turns each
+# Entries of a list that one invocation goes through: five turns each where masks say which come near, and where boxes do, of entries that
+# have no tile, as many more as lanes that run together may find theirs at different ones.
+EACH = TURNS // 12
 
 
 def _alpha_vjp(g, y, v0, v1, v2, boxes, *lists, **attrs):
@@ -205,7 +211,7 @@ def _alpha_vjp(g, y, v0, v1, v2, boxes, *lists, **attrs):
 op("soft_alpha", "v0 v1 v2 boxes ranges faces masks spilled", attrs=f"{LISTED} {PAIR}", infer=over_pixels("float", 4),
    reads=" ".join(["texel"] * 8),
    ref=reference.soft_alpha, vjp=_alpha_vjp, functions=FUNCTIONS, cost=2000, sample=sample_of(False),
-   loop=Loop(_ALPHA, "{y} = 1.0 - clear_;", "} }"),
+   loop=Loop(_ALPHA, *ALPHA_BODY),
    doc="1 - prod(1 - D) over the faces of the pixel's list that cover it or are within `radius`; D: the sigmoid of the signed distance (or "
        "its square) to the nearest edge over sigma, or with `hard_only` 1 for what covers the pixel.")
 
@@ -242,14 +248,14 @@ op("soft_alpha_gradient", "v0 v1 v2 boxes slope", alike=((1, 0), (2, 0), (3, 0))
        "`band` rows of padding. slope: the gradient by alpha times 1 - alpha.")
 
 for _name, _vtype, _body, _doc in (
-        ("soft_sums", "vec4", "{y} = {y} * keep_ + w_ * vec4(color_, 1.0);",
+        ("soft_sums", "vec4", SUMS_BODY,
          "Sums over the faces of the pixel's list of w times colour, and of w = D exp((depth - largest depth) / gamma)."),
-        ("soft_most", "vec2", "{y} = vec2(near_ || {y}.x != 0.0 ? most_ : 0.0, 1.0 - clear_);",
+        ("soft_most", "vec2", MOST_BODY,
          "The largest depth of the faces near the pixel, 0 if there is none, at least that of normalized depth 1e-10; and alpha, as of "
          "soft_alpha.")):
     op(_name, "v0 v1 v2 c0 c1 c2 boxes ranges faces masks spilled", attrs=f"{LISTED} {PAIR} least{_DEPTH}", infer=over_pixels(_vtype, 7),
        reads=" ".join(["texel"] * 11), ref=getattr(reference, _name), functions=FUNCTIONS, cost=3000, sample=_sums_sample,
-       loop=Loop(_SUMS, _body, "} }"), doc=_doc)
+       loop=Loop(_SUMS, *_body), doc=_doc)
 
 
 def _far(sums: Node, most: Node, gamma: float, base: float) -> Node:

@@ -68,21 +68,34 @@ for (int end_ = spilled_ ? 0 : range_.y; k_ < end_ && f_ < 0;) {
 }
 for (int end_ = spilled_ ? range_.y : 0; k_ < end_ && f_ < 0; ++k_) {
     ivec4 b_ = {boxes_at}({faces_at}(k_));
-    if (b_.x <= {p}.x && b_.z > {p}.x && b_.y <= {p}.y && b_.w > {p}.y) f_ = k_;
+    if (b_.x <= pixel_.x && b_.z > pixel_.x && b_.y <= pixel_.y && b_.w > pixel_.y) f_ = k_;
 }
 if (f_ < 0) break;
 f_ = {faces_at}(f_);
 vec4 v0_ = {v0_at}(f_), v1_ = {v1_at}(f_), v2_ = {v2_at}(f_);
 """
-TILE = """{ ivec2 cell_ = {p} / ivec2({cell_w}, {cell_h}), in_ = {p} - cell_ * ivec2({cell_w}, {cell_h});
-int view_ = cell_.y * {columns} + cell_.x;
-bool spilled_ = {spilled}(ivec2(0)) != 0;
+_LIST = """bool spilled_ = {spilled}(ivec2(0)) != 0;
 ivec2 tile_ = ivec2({tile_w}, {tile_h}), in_tile_ = (in_ % tile_) / ((tile_ + 7) / 8);
 int quarter_ = in_tile_.y / 4 * 2 + in_tile_.x / 4, bit_ = (in_tile_.y & 3) * 4 + (in_tile_.x & 3);
-ivec2 all_ = view_ < {views} ? {ranges_at}((view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w}) : ivec2(0);
-ivec2 range_ = min(all_.x + ivec2({first}, {first} + {each}), all_.y);
+ivec2 all_ = there_ ? {ranges_at}(listed_) : ivec2(0);
+ivec2 range_ = min(all_.x + clamp(part_, 0, (all_.y - all_.x) / {each} + 1) * {each} + ivec2(0, {each}), all_.y);
 vec2 q_ = vec2(in_) + 0.5 - 0.5 * vec2(ivec2({cell_w}, {cell_h}));
 """
+# A pixel with the first part of its tile's list.
+TILE = """{ ivec2 pixel_ = {p}, cell_ = pixel_ / ivec2({cell_w}, {cell_h}), in_ = pixel_ - cell_ * ivec2({cell_w}, {cell_h});
+int view_ = cell_.y * {columns} + cell_.x, listed_ = (view_ * {tiles_y} + in_.y / {tile_h}) * {tiles_x} + in_.x / {tile_w};
+const int part_ = 0;
+bool there_ = view_ < {views};
+""" + _LIST
+# A pixel of a unit, with another part of it; units after the last may be anything, and draws run over them.
+UNIT = """{ int unit_ = {i} / ({tile_w} * {tile_h}), of_ = {i} - unit_ * ({tile_w} * {tile_h});
+ivec2 which_ = {units_at}(min(unit_, {slots} - 1));
+int per_ = {tiles_x} * {tiles_y}, listed_ = clamp(which_.x, 0, {views} * per_ - 1), part_ = which_.y, view_ = listed_ / per_;
+int rest_ = listed_ - view_ * per_;
+ivec2 in_ = ivec2(rest_ % {tiles_x}, rest_ / {tiles_x}) * ivec2({tile_w}, {tile_h}) + ivec2(of_ % {tile_w}, of_ / {tile_w});
+ivec2 pixel_ = in_ + ivec2(view_ % {columns}, view_ / {columns}) * ivec2({cell_w}, {cell_h});
+bool there_ = in_.x < {cell_w} && in_.y < {cell_h};
+""" + _LIST
 
 # Of a face, pixel by pixel of that part of its box which lies in rows `low` to `high` of the cell.
 OVER_BOX = """{ ivec4 box_ = {i} < {n} ? {boxes_at}({i}) : ivec4(0);

@@ -167,29 +167,47 @@ def _pairs(face, ys, xs, v, q, radius, sigma, squared, hard_only, nearest) -> tu
     return Pairs(*parts), near
 
 
-def _of_part(p: Pairs, ranges, faces, first, each, views, tiles_x, tiles_y, tile_w, tile_h, cell_w, cell_h, columns, **_) -> Pairs:
-    """Those pairs whose entries are from `first` on, `each` at most, in the lists of their tiles."""
-    if not first and each >= faces.size:
+def _of_part(p: Pairs, ranges, faces, each, views, tiles_x, tiles_y, tile_w, tile_h, cell_w, cell_h, columns, **_) -> Pairs:
+    """Those pairs whose entries are among the first `each` of the lists of their tiles."""
+    if each >= faces.size:
         return p
     view = p.ys // cell_h * columns + p.xs // cell_w
     tile = (view * tiles_y + p.ys % cell_h // tile_h) * tiles_x + p.xs % cell_w // tile_w
     keep, flat, spans = np.zeros(len(p.face), bool), faces.reshape(-1), ranges.reshape(-1, 2)
     for t in np.unique(tile):
         own, (begin, end) = tile == t, spans[t]
-        keep[own] = np.isin(p.face[own], flat[min(begin + first, end):min(begin + first + each, end)])
+        keep[own] = np.isin(p.face[own], flat[begin:min(begin + each, end)])
     return Pairs(*(x[keep] for x in p))
 
 
-def soft_alpha(v0, v1, v2, boxes, ranges, faces, masks, spilled, extent, **attrs):
-    """1 - prod(1 - D)."""
-    p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
-    clear = np.ones((extent.height, extent.width))
+def at_units(p: Pairs, ranges, faces, units, slots, each, tiles_x, tiles_y, tile_w, tile_h, cell_w, cell_h, columns, **_) -> Pairs:
+    """Pairs of pixels of units' tiles and the entries of these parts of their lists, units being (tile, part); in the place of a pixel's
+    row and column 0 and its number among those of all units."""
+    view = p.ys // cell_h * columns + p.xs // cell_w
+    y, x = p.ys % cell_h, p.xs % cell_w
+    tile, k = (view * tiles_y + y // tile_h) * tiles_x + x // tile_w, y % tile_h * tile_w + x % tile_w
+    found, flat, spans = [], faces.reshape(-1), ranges.reshape(-1, 2)
+    for unit, (t, part) in enumerate(units.reshape(-1, 2)[:slots]):
+        begin = spans[t, 0] + part * each
+        own = (tile == t) & np.isin(p.face, flat[begin:min(begin + each, spans[t, 1])])
+        found.append(Pairs(*(x[own] for x in p._replace(ys=p.ys * 0, xs=unit * tile_w * tile_h + k))))
+    return Pairs(*(np.concatenate(x) for x in zip(*found)))
+
+
+def alpha_of(p: Pairs, shape, **_):
+    """1 - prod(1 - D) of pairs at pixels of an image of this shape."""
+    clear = np.ones(shape)
     np.multiply.at(clear, (p.ys, p.xs), p.clear)
     return (1 - clear)[..., None]
 
 
-def _weights(p: Pairs, extent, gamma, base):
-    most = np.full((extent.height, extent.width), LEAST - base)
+def soft_alpha(v0, v1, v2, boxes, ranges, faces, masks, spilled, extent, **attrs):
+    """1 - prod(1 - D)."""
+    return alpha_of(_of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs), (extent.height, extent.width))
+
+
+def _weights(p: Pairs, shape, gamma, base):
+    most = np.full(shape, LEAST - base)
     np.maximum.at(most, (p.ys, p.xs), p.depth)
     return most, p.probability * np.exp((p.depth - most[p.ys, p.xs]) / gamma)
 
@@ -198,25 +216,33 @@ def _colors(p: Pairs, *tables):
     return np.stack([c.reshape(-1, 3)[p.face] for c in tables], 1)
 
 
-def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, gamma, base, **attrs):
-    """Sums of weighted colours and of weights."""
-    p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
-    _, w = _weights(p, extent, gamma, base)
-    out = np.zeros((extent.height, extent.width, 4))
+def sums_of(p: Pairs, shape, c0, c1, c2, gamma, base, **_):
+    """Sums of weighted colours and of weights, as `alpha_of`."""
+    _, w = _weights(p, shape, gamma, base)
+    out = np.zeros((*shape, 4))
     seen = (p.weights[..., None] * _colors(p, c0, c1, c2)).sum(1)
     np.add.at(out, (p.ys, p.xs), w[:, None] * np.concatenate([seen, np.ones((len(w), 1))], 1))
     return out
 
 
-def soft_most(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, gamma, base, **attrs):
+def soft_sums(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, **attrs):
+    """Sums of weighted colours and of weights."""
+    p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
+    return sums_of(p, (extent.height, extent.width), c0, c1, c2, **attrs)
+
+
+def most_of(p: Pairs, shape, c0, c1, c2, gamma, base, **_):
+    """The largest depth, and alpha, as `alpha_of`."""
+    some = np.zeros(shape, bool)
+    some[p.ys, p.xs] = True
+    most, _ = _weights(p, shape, gamma, base)
+    return np.concatenate([np.where(some, most, 0)[..., None], alpha_of(p, shape)], 2)
+
+
+def soft_most(v0, v1, v2, c0, c1, c2, boxes, ranges, faces, masks, spilled, extent, **attrs):
     """The largest depth (0 where there is no face), and alpha."""
     p = _of_part(near_pairs(v0, v1, v2, boxes, **attrs), ranges, faces, **attrs)
-    some = np.zeros((extent.height, extent.width), bool)
-    some[p.ys, p.xs] = True
-    most, _ = _weights(p, extent, gamma, base)
-    clear = np.ones((extent.height, extent.width))
-    np.multiply.at(clear, (p.ys, p.xs), p.clear)
-    return np.stack([np.where(some, most, 0), 1 - clear], 2)
+    return most_of(p, (extent.height, extent.width), c0, c1, c2, **attrs)
 
 
 def corner_gradient(p: Pairs, gs, gw):

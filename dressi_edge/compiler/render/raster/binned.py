@@ -17,10 +17,9 @@ from ...graph.functions import absolute, apply, clamp, compose, constant, consta
 from ...graph.ir import UNIT, Node, table
 from ...graph.ops import soft
 from ...graph.ops.bins import Grid
-from ...graph.ops.reduce import TILE
 from ...graph.ops.soft import LEAST, TURNS, listed_attrs, pair_attrs
-from ...graph.ops.soft_length import list_length, long_lists
 from ...graph.ops.soft_mask import soft_masks
+from ...graph.ops.soft_parts import Parts, find_parts, in_parts, join_parts
 from ...graph.ops.tile_lists import Binned as Lists
 from ...graph.ops.tile_lists import bin_faces
 from ...graph.optable import as_node
@@ -32,7 +31,6 @@ from .softness import Softness
 
 FARTHEST = 1e8  # pixels from the middle of the picture
 OWN, MOST = 4, 8  # faces of a pixel that are shaded there: where a material asks for it, and at most
-PARTS = 4  # of lists that are too long for one invocation, at most
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ class BinnedFragments(Fragments):
         where, attrs = self._listed
         four = constant(np.zeros((1, 1, 4), int))
         for _ in range(number // 4 + 1):
-            four = apply("soft_heaviest", *self.places, *where, four, **attrs, gamma=float(self.settings.gamma))
+            four = apply("soft_heaviest", *self.places, *where, four, **{**attrs, "each": TURNS // 5}, gamma=float(self.settings.gamma))
         face = apply("swizzle", four, channels="xyzw"[number % 4]) - 1
         shown, (v0, v1, v2) = face >= 0, (lookup(x, face, self.boxes) for x in self.places)
         settings = {k: self.pair[k] for k in ("radius", "sigma", "squared", "hard_only", "nearest")}
@@ -182,59 +180,26 @@ class BinnedFragments(Fragments):
             views, n = self.grid.views, self.grid.faces
             ranges = np.arange(views)[:, None] * n + (0, n)
             faces, tiles, where = (constant_table(x) for x in (np.arange(views * n), np.zeros(1, int), ranges))
-            return Lists(faces, tiles, where, as_node(views * n), as_node(1))
+            return Lists(faces, tiles, where, as_node(views * n), as_node(1), n)
         return bin_faces(self.boxes, self.grid, self.settings.pairs, 0.0 if self.settings.hard else self.settings.r)
 
     @cached_property
-    def _length(self) -> Node:
-        return list_length(self.lists.ranges, self.grid, self.atlas.extent)
-
-    @property
-    def parts(self) -> int:
-        """How many invocations go through the list of a pixel, one after the other, each through so many entries as are allowed."""
-        return 1 if self.settings.tile is None else min(PARTS, -(-self.grid.faces // soft.EACH))
+    def _parts(self) -> Parts | None:
+        """Of lists longer than one invocation goes through, where there can be any."""
+        return find_parts(self.lists, self.grid, soft.EACH) if self.grid.faces > soft.EACH else None
 
     def _in_parts(self, name: str, inputs: Sequence[Node], **more) -> list[Node]:
-        """An op over the lists, of each part of them; of the second and further ones only in tiles whose lists are so long."""
-        where, _ = self._listed
-        found = []
-        for part in range(self.parts):
-            y = apply(name, *inputs, *where, **listed_attrs(self.grid, self.atlas.extent, part), **self.pair, **more)
-            found.append(y if part == 0 else self._where_long(part, y))
-        return found
+        """An op over the lists: of the first part of each, and of the others, where there can be any."""
+        where, attrs = self._listed
+        first = apply(name, *inputs, *where, **attrs, **more)
+        if self._parts is None:
+            return [first]
+        return [first, in_parts(name, [*inputs, *where], self._parts, self.grid, soft.EACH, **self.pair, **more)]
 
-    def _where_long(self, part: int, y: Node) -> Node:
-        """The value in tiles whose lists have a part of this number, worked out there alone; anything elsewhere."""
-        tiles = long_lists(self.lists.ranges, self.grid, self.atlas.extent, part * soft.EACH)
-        return apply("inside_tiles", y, tiles, tile=(TILE, TILE), apart=True)
-
-    def _sure(self, y: Node) -> Node:
-        """The value; infinite or no number where a list is longer than all parts: no picture rather than part of one."""
-        if self.parts * soft.EACH >= self.grid.faces:
-            return y
-        return y / select(self._length > self.parts * soft.EACH, 0.0, 1.0)
-
-    def _alpha_of(self, alphas: Sequence[Node]) -> Node:
-        """Of all parts together."""
-        clear = 1.0 - alphas[0]
-        for alpha in alphas[1:]:
-            clear = clear * (1.0 - alpha)
-        return self._sure(1.0 - clear)
-
-    def _together(self, sums: Sequence[Node], most: Sequence[Node]) -> tuple[Node, Node]:
-        """The sums and the largest depth of all parts."""
-        if len(sums) == 1:
-            return sums[0], most[0]
-        total, nearest = sums[0], most[0].x
-        for s, m in zip(sums[1:], most[1:]):
-            before = select(nearest < 0.0, nearest, -1e30)
-            after = select(m.x < 0.0, m.x, -1e30)
-            top = apply("max", before, after)
-            shares = [apply("exp", apply("max", (x - top) * (1.0 / self.settings.gamma), -1e4)) for x in (before, after)]
-            total, nearest = total * shares[0] + s * shares[1], select(top > -1e29, top, 0.0)
-        several = self._sure(total), compose(nearest, self._alpha_of([m.y for m in most]))
-        long = self._length > soft.EACH
-        return tuple(select(long, self._where_long(1, y), one) for y, one in zip(several, (sums[0], most[0])))
+    def _join(self, name: str, own: Sequence[Node], others: Sequence[Node], **more) -> Node:
+        """Of all parts together; infinite where there are more than there is room for: no picture rather than part of one."""
+        joined = join_parts(name, own, self.lists.ranges, others, self._parts, self.grid, self.atlas.extent, soft.EACH, **more)
+        return apply("stop_gradient", joined)  # gradients by the corners come from soft_blend and soft_whole
 
     @property
     def _listed(self) -> tuple[tuple[Node, ...], dict]:
@@ -254,11 +219,9 @@ class BinnedFragments(Fragments):
         if self.blend is not None:
             return self.blend.w
         alphas = self._in_parts("soft_alpha", self.places)
-        if len(alphas) == 1:
+        if self._parts is None:
             return alphas[0]
-        alphas = [apply("stop_gradient", x) for x in alphas]
-        whole = select(self._length > soft.EACH, self._where_long(1, self._alpha_of(alphas)), alphas[0])
-        return apply("soft_whole", whole, *self.places, self.boxes, **self.pair)
+        return apply("soft_whole", self._join("soft_join_alpha", alphas[:1], alphas[1:]), *self.places, self.boxes, **self.pair)
 
     def color(self, shaded: Sequence[Node], background: Node | float, own: Sequence[Node] = ()) -> Node:
         """Colours of the three corners, vec3 tables of views x faces, as all faces blend over a background. own: colours of the first
@@ -270,9 +233,13 @@ class BinnedFragments(Fragments):
         shaded = [x if x.extent == self._table else apply("broadcast", x, extent=self._table) for x in shaded]
         depth = {"gamma": float(self.settings.gamma), "base": float(self.range.base)}
         inputs = *self.places, *shaded
-        sums, most = self._together(*(self._in_parts(name, inputs, **depth, least=LEAST - self.range.base)
-                                      for name in ("soft_sums", "soft_most")))
-        sums = apply("stop_gradient", sums)  # gradients by the corners come from soft_blend
+        sums, most = (self._in_parts(name, inputs, **depth, least=LEAST - self.range.base) for name in ("soft_sums", "soft_most"))
+        if self._parts is None:
+            sums, most = (apply("stop_gradient", x[0]) for x in (sums, most))
+        else:
+            of = {"gamma": depth["gamma"]}
+            sums = self._join("soft_join_sums", [sums[0], most[0]], [sums[1], most[1]], **of)
+            most = self._join("soft_join_most", most[:1], most[1:], **of)
         if own:
             more = self._more(shaded, own, most)
             sums = sums + compose(more.x, more.y, more.z, 0.0)
