@@ -193,6 +193,7 @@ static void read_all(Reader *r, uint64_t count) {
         r->v = bundle->variants + k;
         check_sizes(r);
         check_shaders(r);
+        read_window(r);
         r->v->root = NULL; /* the nodes go with the reader */
     }
 }

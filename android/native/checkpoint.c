@@ -14,7 +14,7 @@ typedef unsigned long long ull;
 static bool holds(const Session *s, uint32_t k, const uint64_t *runs, const bool *inputs) {
     const Value *value = s->v->values + k;
     if (value->role == STATE) return true;
-    if (value->role == INPUT) return inputs[k];
+    if (value->role == INPUT) return inputs[k] && !is_streamed(s, k); /* pictures are known by the bundle, or whoever gives them */
     for (uint32_t n = 0; value->role == OUTPUT && n < s->phases.count; n++)
         if (runs[n] && has(s->v->plans[s->phases.at[n]].outputs, k)) return true;
     return false;
@@ -227,10 +227,11 @@ static void load(Session *s, Call *call, void *arguments) {
     upload(s, call, r->copies, r->count);
     for (uint32_t n = 0; n < r->count; n++) s->version[r->values[n]]++;
     for (uint32_t k = 0; k < s->v->value_count; k++)
-        if (s->v->values[k].role == INPUT) {
+        if (s->v->values[k].role == INPUT && !is_streamed(s, k)) {
             s->version[k] += !r->inputs[k]; /* what was made from it is no more */
             s->given[k] = r->inputs[k];
         }
+    for (uint32_t n = 0; n < r->count; n++) forget_window(s, r->values[n]);
     for (uint32_t n = 0; n < s->phases.count; n++) s->plans[s->phases.at[n]].runs = r->runs[n];
     s->phase = r->phase;
     trim(s, s->largest);

@@ -142,6 +142,25 @@ typedef struct dressi_bound {
 DRESSI_API dressi_code dressi_step(dressi_session *session, uint64_t n, const char *phase, const dressi_bound *bound, uint64_t *done,
                                    dressi_error *error);
 
+/* ---- Many views: pictures that come to the device as steps need them (docs/job.md, "Many views") ---- */
+
+typedef struct dressi_picture {
+    uint32_t views, width, height; /* how many pictures there are, and the size of each */
+    int bits;                      /* a channel: 8 (uint8_t), 16 (uint16_t) or 32 (float) */
+    size_t bytes;                  /* of one */
+} dressi_picture;
+
+/* Whether the bundle is one of those, and what its pictures are: rows from the top, of R G B A, straight colour as in the file. */
+DRESSI_API int dressi_picture_of(const dressi_session *session, dressi_picture *about);
+
+/* Writes picture `view` to `pixels`. Not 0: it cannot be had, and the call that needs it fails with DRESSI_INPUT. It is called by
+   dressi_step, dressi_get and dressi_loss, on their thread, and must not call the session. */
+typedef int (*dressi_read)(void *context, uint32_t view, void *pixels);
+
+/* Where pictures come from, from now on (NULL: from dressi_set, as does the view of each step, PHASE.view). The session then keeps the
+   window filled and says which view a step sees; what it had is forgotten, so the same call says that pictures have changed. */
+DRESSI_API dressi_code dressi_pictures(dressi_session *session, dressi_read read, void *context, dressi_error *error);
+
 /* The loss of the current phase at the current state: the output "PHASE.loss". */
 DRESSI_API dressi_code dressi_loss(dressi_session *session, float *loss, dressi_error *error);
 

@@ -162,6 +162,17 @@ typedef struct Interface {
     uint64_t shared_bytes;  /* of what they share, at most */
 } Interface;
 
+/* What a bundle says of pictures that are not all on the device. counters: by plan the state that counts its steps, or -1. turns: inputs
+   that say which view a step sees. */
+typedef struct Turn { uint32_t input, counter; Indices order; } Turn;
+typedef struct Window {
+    bool is_malformed;
+    uint32_t value, views, bits, turn_count;
+    Indices order; /* empty: every view has a slot of its own */
+    int32_t *counters;
+    Turn *turns;
+} Window;
+
 typedef struct Variant {
     const char *profile;
     const Node *root; /* while the bundle is read */
@@ -177,6 +188,7 @@ typedef struct Variant {
     Value *values;
     Plan *plans;
     const Interface **interfaces; /* one a shader */
+    Window *window;               /* NULL: all pictures are on the device */
 } Variant;
 
 typedef struct Bundle {
@@ -245,6 +257,7 @@ typedef struct Marks { /* by value and by ref: who was there last; nobody is 0 *
 const char *show_name(const Reader *r, uint32_t value, char shown[SHOWN]);
 void check_flow(Reader *r, Marks *marks);
 void check_shaders(Reader *r);
+void read_window(Reader *r); /* window.c */
 const Interface *parse_shader(Reader *r, const uint8_t *data, uint64_t size);
 
 /* ---- tables.c: the numbers of Vulkan in a bundle ---- */

@@ -79,6 +79,7 @@ static void open_session(Session *s, Call *call, const dressi_options *options) 
     s->why = grow(call, &s->bundle.arena, s->bundle.variant_count, sizeof *s->why);
     s->v = choose(call, &s->bundle.arena, &s->bundle, s->device, options->profile, &s->depth, s->why);
     prepare_plans(s, call);
+    open_window(s, call);
     create_work(s, call);
     create_images(s, call);
     open_cache(s, call, options->cache);
@@ -241,6 +242,7 @@ static void set_value(Session *s, Call *call, void *arguments) {
     finish(s, call);
     s->version[k]++;
     s->given[k] = true;
+    forget_window(s, k);
     trim(s, s->largest);
 }
 
@@ -256,7 +258,10 @@ static void get_value(Session *s, Call *call, void *arguments) {
     if (value->role == OUTPUT) {
         while (giver < s->v->plan_count && !has(s->v->plans[giver].outputs, k)) giver++;
         if (giver == s->v->plan_count) fail(call, DRESSI_INPUT, "%.100s is given out by no plan", t->name);
-        if (!s->v->plans[giver].updates.count) run_if_changed(s, call, giver, false);
+        if (!s->v->plans[giver].updates.count) {
+            look(s, call, giver, 1);
+            run_if_changed(s, call, giver, false);
+        }
         else if (!s->plans[giver].runs)
             fail(call, DRESSI_INPUT, "%.100s is given out by %.100s, which has not run yet", t->name, s->v->plans[giver].name);
     } else if (!s->given[k]) {
@@ -295,7 +300,7 @@ static void step_all(Session *s, Call *call, void *arguments) {
     choose_phase(s, call, steps);
     while (steps->done < steps->n) {
         uint64_t left = steps->n - steps->done, now = left < MAX_SUBMIT ? left : MAX_SUBMIT;
-        run_plan(s, call, s->phases.at[s->phase], now, false);
+        run_steps(s, call, s->phases.at[s->phase], now);
         steps->done += now;
         drop(&s->scratch);
     }
@@ -306,7 +311,7 @@ static void step_chunk(Session *s, Call *call, void *arguments) {
     Steps *steps = arguments;
     double begin = seconds_now();
     steps->warm = s->plans[steps->done].kept; /* in the first run of all the driver may compile */
-    run_plan(s, call, (uint32_t)steps->done, steps->n, false);
+    run_steps(s, call, (uint32_t)steps->done, steps->n);
     steps->seconds = seconds_now() - begin;
 }
 

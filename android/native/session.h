@@ -75,6 +75,9 @@ struct dressi_session {
     uint64_t *version; /* by value */
     bool *given;       /* by value: it has one */
     PlanState *plans;
+    int64_t *held, *shown, *counted; /* by slot of the window, by turn, by value: a view, a view, steps; -1: not known. NULL: no window */
+    dressi_read read;                /* NULL: the caller sets what the window and turns stand for */
+    void *context;
     Indices phases; /* plans */
     int phase;      /* which of them is the current one, or -1 */
 };
@@ -115,6 +118,14 @@ void destroy_recordings(Session *s, uint32_t plan);
 void open_cache(Session *s, Call *call, const char *folder);
 void keep_cache(Session *s);
 void close_cache(Session *s);
+
+/* window.c */
+bool is_streamed(const Session *s, uint32_t value); /* it is brought by `look`, and in no checkpoint */
+void open_window(Session *s, Call *call);
+void forget_window(Session *s, uint32_t value);     /* what it knows of a value, or of all (UINT32_MAX) */
+uint64_t look(Session *s, Call *call, uint32_t plan, uint64_t n); /* brings what at most n iterations need; how many */
+void run_steps(Session *s, Call *call, uint32_t plan, uint64_t n);
+size_t picture_bytes(const Session *s);
 
 /* running.c */
 void prepare_plans(Session *s, Call *call);

@@ -9,6 +9,7 @@
        bound PHASE COUNT:SECONDS            the same with a bound; prints how many were run
        cancel PHASE COUNT:CALLS             the same, cancelled at that call of the function
        threads NAME COUNT                   so many threads that get the value while another steps; prints how many bytes differ
+       pictures . FILE                      pictures come from the file, one after another, until a call of the same without FILE (".")
        loss . .                             prints the loss of the current phase
        save . FILE, load . FILE             a checkpoint
        report . .                           prints the report
@@ -161,6 +162,22 @@ static void step(const char *phase, const char *what, const char *how) {
     must(code);
 }
 
+/* A file of all pictures, one after another; a view beyond its end cannot be had. */
+static int picture(void *context, uint32_t view, void *pixels) {
+    dressi_picture about;
+    FILE *f = fopen(context, "rb");
+    int wrong = !f || !dressi_picture_of(s, &about) || fseek(f, (long)(about.bytes * view), SEEK_SET) ||
+                fread(pixels, 1, about.bytes, f) != about.bytes;
+    if (f) fclose(f);
+    return wrong;
+}
+
+static void pictures(const char *path) {
+    dressi_picture about;
+    if (dressi_picture_of(s, &about)) printf("%u %ux%u %d %zu\n", about.views, about.width, about.height, about.bits, about.bytes);
+    must(dressi_pictures(s, strcmp(path, ".") ? picture : NULL, (void *)path, &error));
+}
+
 static void values(void) {
     static const char *const roles[] = {"input", "state", "output"};
     dressi_value value;
@@ -199,6 +216,7 @@ static void perform(const char *what, const char *with, const char *path) {
     else if (!strcmp(what, "loss")) { must(dressi_loss(s, &loss, &error)); printf("%.9g\n", loss); }
     else if (!strcmp(what, "save")) must(dressi_checkpoint(s, path, &error));
     else if (!strcmp(what, "load")) must(dressi_restore(s, path, &error));
+    else if (!strcmp(what, "pictures")) pictures(path);
     else if (!strcmp(what, "values")) values();
     else if (!strcmp(what, "fork")) in_a_child(with);
     else if (!strcmp(what, "report")) {
