@@ -60,11 +60,11 @@ z_ = min(z_, float({nearest}));
 # their own, for machines that run both sides of every `if`. Both may give faces that are not near, never leave one out that is.
 NEXT = """int f_ = -1;
 for (int end_ = spilled_ ? 0 : range_.y; k_ < end_ && f_ < 0;) {
-    ivec4 c_ = {masks_at}((k_ >> 3) * 4 + quarter_) >> bit_ & 0x10001;
-    int set_ = c_.x | c_.y << 2 | c_.z << 4 | c_.w << 6, ahead_ = ((set_ | set_ >> 15) & 255) >> (k_ & 7);
-    k_ = ahead_ != 0 ? k_ + findLSB(ahead_) : (k_ | 7) + 1;
-    f_ = ahead_ != 0 && k_ < end_ ? k_ : -1;
-    k_ += ahead_ != 0 ? 1 : 0;
+    ivec4 c_ = {masks_at}((k_ >> 5) * 16 + four_);
+    int set_ = int(uint(one_ < 2 ? one_ == 0 ? c_.x : c_.y : one_ == 2 ? c_.z : c_.w) >> (k_ & 31));
+    k_ = set_ != 0 ? k_ + findLSB(set_) : (k_ | 31) + 1;
+    f_ = set_ != 0 && k_ < end_ ? k_ : -1;
+    k_ += set_ != 0 ? 1 : 0;
 }
 for (int end_ = spilled_ ? range_.y : 0; k_ < end_ && f_ < 0; ++k_) {
     ivec4 b_ = {boxes_at}({faces_at}(k_));
@@ -76,7 +76,7 @@ vec4 v0_ = {v0_at}(f_), v1_ = {v1_at}(f_), v2_ = {v2_at}(f_);
 """
 _LIST = """bool spilled_ = {spilled}(ivec2(0)) != 0;
 ivec2 tile_ = ivec2({tile_w}, {tile_h}), in_tile_ = (in_ % tile_) / ((tile_ + 7) / 8);
-int quarter_ = in_tile_.y / 4 * 2 + in_tile_.x / 4, bit_ = (in_tile_.y & 3) * 4 + (in_tile_.x & 3);
+int four_ = in_tile_.y * 2 + in_tile_.x / 4, one_ = in_tile_.x & 3;
 ivec2 all_ = there_ ? {ranges_at}(listed_) : ivec2(0);
 ivec2 range_ = min(all_.x + clamp(part_, 0, (all_.y - all_.x) / {each} + 1) * {each} + ivec2(0, {each}), all_.y);
 vec2 q_ = vec2(in_) + 0.5 - 0.5 * vec2(ivec2({cell_w}, {cell_h}));

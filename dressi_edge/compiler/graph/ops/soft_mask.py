@@ -1,20 +1,21 @@
 """Which part of its tile each entry of a list comes near: 64 cells, 8 across and 8 down, a bit each: pixels pass over what is not near.
 
-In: corners as in `soft.py`, lists by tile (`bins.py`). Out: for each eight entries and each quarter of a tile, 4 x 4 cells, four words of
-16 bits an entry, so that a pixel looks at eight entries at once. A bit may be set where nothing is near, never the other way round: a cell
+In: corners as in `soft.py`, lists by tile (`bins.py`). Out: for each 32 entries and each cell a word, bit k that of entry k, four cells
+side by side a texel, so that a pixel looks at 32 entries at once. A bit may be set where nothing is near, never the other way round: a cell
 is left out if it lies, by more than the reach, on the outer side of one of the face's edges, or outside its box. Faces that are large or
 cross the near plane have all bits.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import Node, table
 from ..optable import apply, op
-from .bins import SIDE, Grid
+from .bins import FOUR, SIDE, WORD, Grid, _signed
 from .lookup import to_table
 from .soft_glsl import FUNCTIONS
 from .tile_lists import Binned
@@ -28,7 +29,8 @@ def soft_masks(corners: Sequence[Node], lists: Binned, grid: Grid, reach: float)
     attrs = {key: grid.attrs[key] for key in ("cell_w", "cell_h", "tile_w", "tile_h")}
     masks = apply("soft_mask", lists.faces, lists.tiles, *corners, **attrs, tiles_x=grid.tiles[0], tiles_y=grid.tiles[1],
                   reach=float(reach + SLACK))
-    return apply("pack_masks", masks)
+    of_words = apply("shift_left", apply("shift_right", lists.drawn + (WORD - 1), 5), 4)
+    return apply("mask_words", masks, of_words, partial=masks.serial)
 
 
 def _infer(name, inputs, attrs):
@@ -61,36 +63,29 @@ def _mask_ref(faces, tiles, v0, v1, v2, cell_w, cell_h, tile_w, tile_h, tiles_x,
     return np.where(tiles.reshape(-1, 1) < 0, -1, words).reshape(*faces.shape[:2], 2)
 
 
-def _pack_ref(masks):
+def _words_ref(masks, drawn, partial=0):
     count = masks.shape[0] * masks.shape[1]
-    words = np.zeros((-(-count // 8) * 8, 2), np.int64)
+    words = np.zeros((-(-count // WORD) * WORD, 2), np.int64)
     words[:count] = masks.reshape(-1, 2)
-    rows = ((words[:, :, None] >> np.arange(0, 32, 8)) & 255).reshape(-1, 8)  # of each entry, 8 bits each
-    cells = (rows[:, :, None] >> np.arange(8)) & 1
-    quarters = cells.reshape(-1, 2, 4, 2, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 4, 16)  # (entry, quarter, cell)
-    bits = (quarters << np.arange(16)).sum(2).reshape(-1, 4, 2, 4)  # (eight, pair of entries, one of it, quarter)
-    packed = bits[:, :, 0] | bits[:, :, 1] << 16
-    packed = (packed + 2 ** 31) % 2 ** 32 - 2 ** 31
-    return to_table(packed.transpose(0, 2, 1).reshape(-1, 4)[:_packed_count(count)])
+    cells = ((words[:, :, None] >> np.arange(WORD)) & 1).reshape(-1, WORD, SIDE * SIDE)  # (32 entries, one of them, cell)
+    return to_table(_signed((cells << np.arange(WORD)[:, None]).sum(1)).reshape(-1, FOUR))
 
 
-def _packed_count(entries: int) -> int:
-    return -(-entries // 8) * 4
+def _words_infer(name, inputs, attrs):
+    entries = inputs[0].extent.width * inputs[0].extent.height
+    return "ivec4", replace(table(-(-entries // WORD) * (SIDE * SIDE // FOUR)), partial=attrs.get("partial", 0))
 
 
-op("pack_masks", "masks", reads="texel", attrs="", ref=_pack_ref, cost=80,
-   infer=lambda name, inputs, attrs: ("ivec4", table(_packed_count(inputs[0].extent.width * inputs[0].extent.height))),
-   sample=lambda rng: ([to_table(rng.integers(-2 ** 31, 2 ** 31, (53, 2)))], {}),
-   glsl="""{ int first_ = {i} / 4 * 8, quarter_ = {i} & 3, up_ = (quarter_ & 1) * 4;
+op("mask_words", "masks drawn", reads="texel count", attrs="partial?", ref=_words_ref, cost=300, infer=_words_infer,
+   sample=lambda rng: ([to_table(rng.integers(-2 ** 31, 2 ** 31, (75, 2))), np.array([[[0]]])], {}),
+   glsl="""{ int first_ = {i} / 16 * 32, four_ = {i} & 15, up_ = (four_ & 7) * 4, last_ = {masks_w} * {masks_h} - 1;
     {y} = ivec4(0);
-    for (int k_ = 0; k_ < 8; ++k_) {
-        ivec2 m_ = first_ + k_ < {masks_w} * {masks_h} ? {masks_at}(min(first_ + k_, {masks_w} * {masks_h} - 1)) : ivec2(0);
-        int w_ = (quarter_ < 2 ? m_.x : m_.y) >> up_ & 0x0f0f0f0f;
-        w_ = ((w_ | w_ >> 4) & 0xff | (w_ >> 8 | w_ >> 12) & 0xff00) << (k_ & 1) * 16;
-        {y} |= ivec4(k_ / 2 == 0 ? w_ : 0, k_ / 2 == 1 ? w_ : 0, k_ / 2 == 2 ? w_ : 0, k_ / 2 == 3 ? w_ : 0);
+    for (int k_ = 0; k_ < 32 && first_ + k_ <= last_; ++k_) {
+        ivec2 m_ = {masks_at}(first_ + k_);
+        {y} |= (ivec4(four_ < 8 ? m_.x : m_.y) >> (up_ + ivec4(0, 1, 2, 3)) & 1) << k_;
     } }""",
-   doc="Masks of eight entries side by side: for each quarter of their tiles (upper left, upper right, lower left, lower right) "
-       "4 x 4 cells of each, 16 bits; two entries a word.")
+   doc="Masks of 32 entries, a word for each of the 64 cells of their tiles: bit k is that of entry k. Four cells side by side a texel. "
+       "Drawn for as many texels as `drawn` says, undefined after them.")
 
 
 def _sample(rng):

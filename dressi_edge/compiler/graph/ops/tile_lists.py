@@ -16,13 +16,15 @@ from .scan import exclusive_scan
 class Binned:
     """Lists by tile: `faces` (over views), `tiles` (of each entry), `ranges` (of each tile its first place in it and the one after its
     last). `pairs`: how many entries the tiles have together, `spilled`: 1 where the list had no room for them and tiles have the faces of
-    their bins or views; both of extent 1x1. bins: places of the list of bins."""
+    their bins or views; both of extent 1x1. drawn: of how many
+    places there is something; bins: places of the list of bins."""
 
     faces: Node
     tiles: Node
     ranges: Node
     pairs: Node
     spilled: Node
+    drawn: Node
     bins: int
 
 
@@ -81,4 +83,4 @@ def bin_faces(boxes: Node, grid: Grid, pairs: int | None = None, reach: float = 
                    partial=boxes.serial, **tiles)
     where = apply("tile_ranges", starts, spilled, total, ranges, bases, needed, **tiles)
     assert spilled.extent == UNIT
-    return Binned(listed.x, listed.y, where, as_node(total), spilled, first)
+    return Binned(listed.x, listed.y, where, as_node(total), spilled, drawn, first)

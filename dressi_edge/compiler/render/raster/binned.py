@@ -180,7 +180,7 @@ class BinnedFragments(Fragments):
             views, n = self.grid.views, self.grid.faces
             ranges = np.arange(views)[:, None] * n + (0, n)
             faces, tiles, where = (constant_table(x) for x in (np.arange(views * n), np.zeros(1, int), ranges))
-            return Lists(faces, tiles, where, as_node(views * n), as_node(1), n)
+            return Lists(faces, tiles, where, as_node(views * n), as_node(1), as_node(views * n), n)
         return bin_faces(self.boxes, self.grid, self.settings.pairs, 0.0 if self.settings.hard else self.settings.r)
 
     @cached_property
