@@ -9,6 +9,7 @@ from bridge_scenes import SHAPES, arrays, ball_scene, run_page
 
 from dressi_edge import runtime
 from dressi_edge.cache.errors import DeviceError, InputError
+from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 
 torch = pytest.importorskip("torch", reason="the extra torch is not installed, so the bridge to PyTorch was not run; its parts were")
@@ -89,6 +90,50 @@ def test_numbers_of_other_types_strides_and_devices_are_taken_and_gradients_are_
         found = f(colors=x)
         found["color"].sum().backward()
         assert found["color"].is_cuda and x.grad.is_cuda
+
+
+class Exported:
+    """What is known by the protocol alone."""
+
+    def __init__(self, of):
+        self.of = of
+
+    def __dlpack__(self, **asked):
+        return self.of.__dlpack__(**asked)
+
+    def __dlpack_device__(self):
+        return self.of.__dlpack_device__()
+
+
+def test_what_dlpack_exports_is_read_where_it_lies_and_results_are_exported_without_a_copy(session, monkeypatch):
+    """One pass from a tensor's memory to that which the device copies from, and one back; then a tensor shares the array's memory."""
+    passes, fill = [], Layout.fill
+
+    def counted(layout, pixels, array):
+        passes.append((pixels, array))
+        fill(layout, pixels, array)
+
+    monkeypatch.setattr(Layout, "fill", counted)
+    x = torch.rand(42, 3)
+    for given in (x, Exported(x), x.numpy()):
+        session.set("vertices", given)
+    assert len(passes) == 3
+    for pixels, array in passes:
+        assert np.shares_memory(array, x.numpy()) and np.shares_memory(pixels, session._staging.view)
+    found = session.get("vertices")
+    tensor = torch.from_dlpack(found)
+    assert tensor.data_ptr() == found.__array_interface__["data"][0] and torch.equal(tensor, x)
+    tensor.zero_()
+    assert not found.any() and session.get("vertices").any(), "the array is the caller's own"
+
+
+def test_a_session_says_why_it_cannot_take_a_tensor(session):
+    with pytest.raises(InputError, match=r"vertices is a torch.Tensor, which NumPy does not take: .*requires grad.*detach"):
+        session.set("vertices", torch.rand(42, 3, requires_grad=True))
+    with pytest.raises(InputError, match="vertices is a test_torch.Exported, which NumPy does not take"):
+        session.set("vertices", Exported(torch.empty(42, 3, dtype=torch.bfloat16)))
+    with pytest.raises(InputError, match="vertices is a builtins.list, which NumPy does not take: .*inhomogeneous"):
+        session.set("vertices", [[1.0, 2.0, 3.0], [1.0]])
 
 
 def test_gradients_are_computed_for_what_requires_them_and_of_what_is_used(session):

@@ -39,6 +39,17 @@ def table_size(count: int, narrowest: int = 4, most_rows: int = MAX_TABLE_ROWS) 
     return width, -(-count // width)
 
 
+def received(array, name: str) -> np.ndarray:
+    """As a NumPy array, in whose memory it stays where it lies in the processor's: of what NumPy takes, or of anything with `__dlpack__`
+    (tensors of PyTorch, JAX, ...). Raises InputError."""
+    try:
+        alone = hasattr(array, "__dlpack__") and not hasattr(array, "__array__")
+        return np.from_dlpack(array) if alone else np.asarray(array)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:  # on another device, part of a gradient, rows of unequal length
+        kind = f"{type(array).__module__}.{type(array).__qualname__}"
+        raise InputError(f"{name} is a {kind}, which NumPy does not take: {' '.join(str(error).split())}") from None
+
+
 @dataclass(frozen=True)
 class Layout:
     """kind "unit" (shape () or (c,)), "table" (n, c), "image" (h, w, c), "atlas" (views, h, w, c); see docs/conventions.md."""
@@ -72,7 +83,7 @@ class Layout:
     def checked(self, array, name: str, half: bool = False) -> np.ndarray:
         """The user's array as numbers that the device can have: float32 where they are that already, else float64, or integers; `half`:
         rounded to fp16. Raises InputError."""
-        array = np.asarray(array)
+        array = received(array, name)
         if array.shape not in (self.shape, (*self.shape, 1) if CHANNELS[self.vtype] == 1 else self.shape):
             raise InputError(f"{name} has shape {array.shape}; {self.shape} is needed")
         if array.dtype.kind not in ("biu" if is_int(self.vtype) else "biuf"):

@@ -13,7 +13,7 @@ import numpy as np
 from ..cache import vulkan as v
 from ..cache.errors import BundleError, InputError
 from ..cache.feed import KINDS, Feed
-from ..cache.layout import Layout, is_int
+from ..cache.layout import Layout, is_int, received
 from .ahead import Ahead
 from .transfer import upload
 from .values import KIND, get, known, put, stored
@@ -123,7 +123,7 @@ class Fed:
             self.feed.check()
 
     def _give(self, array, view: int | None) -> None:
-        feed, array = self.feed, np.asarray(array)
+        feed, array = self.feed, received(array, self.feed.name)
         if view is None and array.shape != feed.shape:
             raise InputError(f"{feed.name} has shape {array.shape}; {feed.shape} is needed")
         views = range(feed.views) if view is None else [number(view, feed.views)]
