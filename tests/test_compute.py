@@ -94,6 +94,28 @@ def test_every_face_near_a_pixel_is_found_with_kernels_too(gpu):
     assert found[0] == found[1] == found[2]
 
 
+def test_a_list_is_dispatched_as_far_as_it_goes(gpu):
+    """A stage of one texel says how many workgroups that are; where those of all entries are too many along one axis, it is dispatched over
+    the whole image, by the same bits."""
+    found = {}
+    for room in (65535, 100):
+        profile = replace(LAVAPIPE, name="less", limits={**LAVAPIPE.limits, "maxComputeWorkGroupCount": (room, 65535, 65535)})
+        s, f = painted(Binned(3.0, gamma=1e-3), (97, 75))
+        s.output("look", color=f.color, alpha=f.alpha, pairs=f.fragments.lists.pairs)
+        made = build(s.program, profile, Options(compute="all"))
+        color, alpha, pairs = done(made, [("get", f"look.{name}") for name in ("color", "alpha", "pairs")], gpu)
+        d, stages = made.description, [stage for plan in made.description["plans"] for stage in plan["stages"]]
+        counted = [stage for stage in stages if stage.get("count", -1) >= 0 and "compute" in stage]
+        found[room] = len(counted), bits([color, alpha])
+        whole = [stage["groups"] for stage in counted]
+        assert all(y == z == 1 and x <= room for x, y, z in whole)
+        if room == 65535:
+            assert max(x for x, _, _ in whole) > max(100, 2 * -(-int(pairs) // 64))  # far less is run than there is room for
+            assert not violations(d, profile, bundle.loads(bundle.dumps(d, made.blobs, bundle.version_of([d]))).interfaces)
+        gpu.silent()
+    assert found[65535][0] > 2 and found[100][0] > 2 and found[65535][1] == found[100][1]
+
+
 @pytest.mark.parametrize("width, height", [(1, 1), (2, 1), (4, 1), (4, 333), (7, 9), (8, 8), (9, 1), (200, 150), (333, 217)])
 def test_every_texel_is_written_once_whatever_the_size(gpu, width, height):
     p, layout = Program(), Layout("image", "int", width, height)

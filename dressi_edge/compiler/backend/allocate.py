@@ -165,7 +165,7 @@ def _place(plan: PackedPlan, images: _Images) -> PlacedPlan:
 
 
 def _reads(s: Substage) -> tuple[Node, ...]:
-    return tuple(dict.fromkeys((*(x for x, _ in s.reads), *s.images)))
+    return tuple(dict.fromkeys((*(x for x, _ in s.reads), *s.images, *s.counts)))
 
 
 def _stage(stage: Stage, refs: dict[Node, int], images: _Images, hazards: _Hazards) -> PlacedStage:

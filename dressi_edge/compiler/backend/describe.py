@@ -151,13 +151,15 @@ def _stage(stage: Stage, code: Sequence[Code], placed: PlacedStage, refs: Mappin
 
 def _dispatch(s: Substage, code: Code, placed: PlacedStage, refs: Mapping[Node, int], tables: _Tables) -> dict:
     """A stage of compute. Its shader writes every texel that somebody reads, or adds to what is cleared before."""
-    clear = code.dispatch.clear
-    outputs = [{"format": format_number(n), "load": v.LOAD_LOAD if outside == KEPT else v.LOAD_DONT_CARE if clear is None else v.LOAD_CLEAR,
-                "clear": clear or 0} for n, outside in zip(s.outputs, s.domain.outside)]
+    clear, outputs = code.dispatch.clear, []
+    for n, outside in zip(s.outputs, s.domain.outside):
+        first = outside if s.count is not None and outside != KEPT else clear  # workgroups that are not run write nothing
+        load = v.LOAD_LOAD if outside == KEPT else v.LOAD_DONT_CARE if first is None else v.LOAD_CLEAR
+        outputs.append({"format": format_number(n), "load": load, "clear": first or 0})
     bindings = [[kind, sampler] for kind, _, sampler in (_binding(b, tables) for b in code.bindings)]
     number = tables.computes.number({"shader": tables.shaders["comp", code.dispatch.shader], "bindings": bindings, "outputs": outputs})
     return {"compute": number, "groups": list(code.dispatch.groups), "images": [refs[b.node] for b in code.bindings],
-            "outputs": list(placed.attachments), "count": -1, "wait": placed.wait}
+            "outputs": list(placed.attachments), "count": -1 if s.count is None else refs[s.count], "wait": placed.wait}
 
 
 def _attachment(n: Node, outside: int | str | None) -> dict:

@@ -14,7 +14,7 @@ from ..graph.formats import format_of
 from ..graph.ir import UNIT, Extent, Node, is_int
 from ..graph.ops.leaf import literal_glsl
 from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
-from ..passes.compute import NARROW, groups, local_size, spread
+from ..passes.compute import NARROW, shape, spread
 from ..passes.substage import KEPT, LISTED, TEXELS, TILES, Stage, Substage, merged_reads
 from .code import ATTACHMENT, SAMPLED, SAMPLER, Binding, Code, DispatchCode, DrawCode
 from .rows import Rows
@@ -295,8 +295,11 @@ class _Emitter:
     def compute(self) -> DispatchCode:
         """The dispatch of a substage of texels, an invocation each."""
         domain, extent, outputs = self.stage.domain, self.stage.extent, self.stage.outputs
-        (w, h), (width, height) = (extent.width, extent.height), local_size(extent)
-        if w < NARROW:
+        (w, h), ((width, height), many) = (extent.width, extent.height), shape(self.stage)
+        if self.stage.count is not None:
+            pixel = (f"int at = int(gl_GlobalInvocationID.x); if (at >= {w * h}) return; "
+                     f"ivec2 pixel = {self._place_of('at', extent)};")
+        elif w < NARROW:
             x, y = _place("at", w, h) if w > 1 else ("0", "at")
             pixel = f"int at = int(gl_GlobalInvocationID.x); if (at >= {w * h}) return; ivec2 pixel = ivec2({x}, {y});"
         else:
@@ -320,7 +323,7 @@ class _Emitter:
             stores.append(f"imageStore(o{k}, {self.at}, {whole});")
         text = "\n".join([_HEAD + f"layout(local_size_x = {width}, local_size_y = {height}) in;", *self.declarations(None), *outs,
                           *self.functions(), "void main() {", pixel, *body, *stores, "}", ""])
-        return DispatchCode(text, (*groups(extent), 1))
+        return DispatchCode(text, (*many, 1))
 
     def kernel(self) -> DispatchCode:
         """The dispatch of a kernel."""

@@ -3,7 +3,8 @@
 In: the stages of a plan with their domains. Out: the same, with `Substage.compute` set on those of pixelwise work that one invocation a
 texel can do: a stage of one substage, none of geometry, whose outputs have formats that shaders write without a feature, within the
 profile's storage images, resources and workgroups. The rest is drawn as before. What a texel is given is the same either way, and so
-are the images (`tests/test_compute.py`).
+are the images (`tests/test_compute.py`). What goes through a list is dispatched as far as that goes: a stage of one texel before it says
+how many workgroups that are.
 """
 from __future__ import annotations
 
@@ -15,9 +16,9 @@ from ...cache.errors import InputError, PackError
 from ...cache.limits import COMPUTE
 from ...cache.profile import Profile
 from ..graph.formats import format_number, format_of
-from ..graph.ir import Extent
-from ..graph.optable import COUNT, FILTERED
-from .substage import FULL, LISTED, TEXELS, TILES, Stage, Substage
+from ..graph.ir import UNIT, Extent
+from ..graph.optable import COUNT, FILTERED, apply
+from .substage import FULL, LISTED, TEXELS, TILES, Domain, Stage, Substage, substage
 
 NONE, OPS, PIXEL, ALL = COMPUTE
 GROUP = 64  # invocations of a workgroup: every device has 128
@@ -41,6 +42,17 @@ def groups(extent: Extent) -> tuple[int, int]:
     width, height = local_size(extent)
     columns, rows = (extent.width * extent.height, 1) if extent.width < NARROW else (extent.width, extent.height)
     return -(-columns // width), -(-rows // height)
+
+
+def in_rows(s: Substage) -> int | None:
+    """Of what is dispatched as far as a list goes, entry after entry, how many workgroups all entries take; None of what is not."""
+    return None if s.count is None else -(-s.extent.width * s.extent.height // GROUP)
+
+
+def shape(s: Substage) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Columns and rows of its workgroups, and how many of them along x and y."""
+    many = in_rows(s)
+    return (local_size(s.extent), groups(s.extent)) if many is None else ((GROUP, 1), (many, 1))
 
 
 def spread(count: int) -> tuple[int, int]:
@@ -79,14 +91,14 @@ def excess(s: Substage, profile: Profile) -> list[str]:
     images = {(x, m == FILTERED) for x, m in s.reads if m != COUNT}
     sampled = len(images) + (s.domain.kind == TILES and (s.domain.by, False) not in images) + (s.domain.kind == LISTED)
     kernel = s.nodes[0].op.kernel_of(s.nodes[0]) if s.kernel else None
-    width, height = (kernel.lanes, 1) if kernel else local_size(s.extent)
+    width, height = (kernel.lanes, 1) if kernel else shape(s)[0]
     counts = {"maxPerStageDescriptorStorageImages": len(s.outputs), "maxDescriptorSetStorageImages": len(s.outputs),
               "maxPerStageDescriptorSampledImages": sampled, "maxDescriptorSetSampledImages": sampled,
               "maxPerStageDescriptorSamplers": sum(filtered for _, filtered in images), "maxPerStageResources": sampled + len(s.outputs),
               "maxComputeWorkGroupInvocations": width * height, "maxComputeSharedMemorySize": kernel.room if kernel else 0}
     lines = [f"needs {found} {name}; profile {profile.name} allows {profile.limit(name):g}"
              for name, found in counts.items() if found > profile.limit(name)]
-    many = spread(kernel.groups(s.nodes[0])) if kernel else groups(s.extent)
+    many = spread(kernel.groups(s.nodes[0])) if kernel else shape(s)[1]
     for name, found in (("maxComputeWorkGroupSize", (width, height, 1)), ("maxComputeWorkGroupCount", (*many, 1))):
         if any(map(int.__gt__, found, profile.limit(name))):
             lines.append(f"needs {found} {name}; profile {profile.name} allows {profile.limit(name)}")
@@ -101,5 +113,22 @@ def find_compute(stages: Sequence[Stage], profile: Profile, kind: str) -> tuple[
             raise PackError(f"{s.nodes[0].op.name} {why}; take fewer entries, or compute='none', which draws")
         return s.kernel or kind == ALL or kind == PIXEL and s.domain.kind in (FULL, TEXELS)
 
-    return tuple(stage if not wanted(stage) or hindrance(stage, profile) else
-                 replace(stage, substages=(replace(stage.substages[0], compute=True),)) for stage in stages)
+    return _counted([stage if not wanted(stage) or hindrance(stage, profile) else
+                     replace(stage, substages=(replace(stage.substages[0], compute=True),)) for stage in stages], profile)
+
+
+def _counted(stages: Sequence[Stage], profile: Profile) -> tuple[Stage, ...]:
+    """The stages, those that are dispatched over lists as far as these go, each after one that says how far."""
+    found, said = [], {}
+    for stage in stages:
+        s = stage.substages[0]
+        if s.compute and s.domain.kind == LISTED:
+            most = -(-s.extent.width * s.extent.height // GROUP)
+            count = apply("group_count", s.domain.by, each=GROUP, most=most)
+            listed = Stage(stage.extent, (replace(s, count=count),))
+            before = Stage(UNIT, (replace(substage([count], [count]), domain=Domain(outside=(None,)), compute=True),))
+            if not hindrance(listed, profile) and not hindrance(before, profile):
+                found += [] if count in said else [before]
+                said[count], stage = None, listed
+        found.append(stage)
+    return tuple(found)

@@ -32,7 +32,8 @@ class Domain:
 @dataclass(frozen=True)
 class Substage:
     """One subpass: `nodes` in order, of which `outputs` are written; `reads` are (node, mode) from outside. domain: as
-    `passes/domains.py` found it. compute: it is dispatched, not drawn (`passes/compute.py`)."""
+    `passes/domains.py` found it. compute: it is dispatched, not drawn (`passes/compute.py`). count: what says how many workgroups of
+    a dispatch there are, where the device finds that."""
 
     extent: Extent
     nodes: tuple[Node, ...]
@@ -40,6 +41,7 @@ class Substage:
     reads: tuple[tuple[Node, str], ...]
     domain: Domain = Domain()
     compute: bool = False
+    count: Node | None = None
 
     @property
     def raster(self) -> bool:
@@ -61,8 +63,8 @@ class Substage:
 
     @property
     def counts(self) -> tuple[Node, ...]:
-        """What says how many vertices its draws have."""
-        return tuple(x for x, mode in self.reads if mode == COUNT) if self.raster else ()
+        """What says how many vertices its draws have, or how many workgroups its dispatch."""
+        return tuple(x for x, mode in self.reads if mode == COUNT) if self.raster else () if self.count is None else (self.count,)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..ir import Extent, Node, table
+from ..ir import UNIT, Extent, Node, table
 from ..optable import Loop, apply, op
 from .lookup import constant_table, lookup
 
@@ -99,6 +99,16 @@ op("descend", "counts at", infer=_descend_infer, reads="texel own", ref=_descend
    sample=lambda rng: ([np.tile([0, 2, 0, 1, 0, 0, 3, 1], 10)[None, :, None], np.array([[0, 0], [0, 5], [1, 1], [-1, 0]])[None]],
                        {"count": 80}),
    doc="One level down the tree of counts: from a chunk and a number within it to the child and the number within that.")
+
+
+def _groups_ref(by, each, most):
+    return np.array([[[np.clip(-(-by.reshape(-1)[-1] // each), 0, most)]]])
+
+
+op("group_count", "by", attrs="each most", infer=lambda name, inputs, attrs: ("int", UNIT), reads="texel", ref=_groups_ref, cost=4,
+   sample=lambda rng: ([np.array([3, 9, 700])[None, :, None]], {"each": 64, "most": 20}),
+   glsl="{y} = clamp(({by}(ivec2({by_w} - 1, {by_h} - 1)) + {each} - 1) / {each}, 0, {most});",
+   doc="How many workgroups of `each` invocations go through a list, as long as the last texel of `by` says; at most `most`.")
 
 
 def _slot_ref(flags, entries, running, each):
