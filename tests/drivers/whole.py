@@ -94,7 +94,7 @@ def material() -> Scene:
     image = made.parameter("texture", np.full((16, 24, 3), 0.5), 0.0, 1.0, kind="image")
     made.add(ball, material=PBR(Texture(image, mips=True), made.parameter("roughness", 0.5, 0.1, 1.0), 0.2, lights=(
         Light("directional", (1.6, 1.6, 1.6), (0.3, -0.5, -0.8)), LIGHTS[2])))
-    made.phase("fit", STEPS, {"texture": Adam(0.03), "roughness": Adam(0.01)}, color=l2(made.frame().color, photo))
+    made.phase("fit", STEPS, {"texture": Sgd(100.0), "roughness": Sgd(5.0)}, color=l2(made.frame().color, photo))
     return made
 
 
@@ -132,9 +132,10 @@ def behind() -> Program:
 
 CASES = {f.__name__: f for f in (silhouettes, colors3, texture, lambert, material, contours, binned, behind)}
 OPTIONS = {"binned": {"compute": "ops"}}  # as `Options` of the compiler
-# After steps. Adam, which makes a whole step of what is almost nothing, enlarges what rounding leaves. Silhouettes, lit by their outline
-# alone: on another grid of sub-pixels (SwiftShader's has 16 to a pixel, lavapipe's 256) other pixels are inside.
-TOLERANCE = {"silhouettes": 2e-2, "colors3": 5e-3, "texture": 5e-3, "lambert": 1e-2, "material": 3e-2, "contours": 1e-2,
+# After steps. Adam, which makes a whole step of what is almost nothing, enlarges what rounding leaves: of a texture with mip levels, some
+# of whose texels hardly anything samples, a step of 0.03 (so there plain descent: 1e-4 off on SwiftShader). Silhouettes, lit by their
+# outline alone: on another grid of sub-pixels (SwiftShader's has 16 to a pixel, lavapipe's 256) other pixels are inside.
+TOLERANCE = {"silhouettes": 2e-2, "colors3": 5e-3, "texture": 5e-3, "lambert": 1e-2, "material": 1e-3, "contours": 1e-2,
              "binned": 1e-2, "behind": 0}
 
 
