@@ -206,10 +206,10 @@ def fit(photos, masks, cameras, folder: Path, options) -> tuple[Thing, np.ndarra
 
 
 def psnr(a: np.ndarray, b: np.ndarray, where: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1))[where] ** 2)))
+    return float(-10 * np.log10(max(np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1))[where] ** 2), 1e-12)))
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--size", type=int, default=160)
@@ -226,7 +226,7 @@ def main() -> None:
     parser.add_argument("--device")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--picture", type=Path)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.quick:
         options.size, options.views, options.rounds, options.texels, options.samples = 48, 8, 1, 64, 16
     size, true = options.size, thing(options.data, 512)
@@ -244,6 +244,8 @@ def main() -> None:
         wanted, seen = photographs(others)
         ours, _ = drawn(true.mesh, others, shaded(true, true.sky), folder, options)
         found, hull, about = fit(photos, masks, cameras, folder, options)
+        grey = Thing(hull, np.full((4, 4, 3), 0.5), np.full((4, 4, 3), [0.0, 0.5, 0.2]), np.full((32, 64, 3), 0.6))
+        before, _ = drawn(hull, others, shaded(grey, grey.sky), folder, options)
         again, alpha = drawn(found.mesh, others, shaded(found, found.sky), folder, options)
         inside = (seen > 0.99) & (alpha > 0.99)
         maps = {}
@@ -261,7 +263,8 @@ def main() -> None:
     apart = {f"chamfer_{key}": surface.measure(of.positions, of.faces).chamfer for key, of in (("hull", hull), ("found", found.mesh))}
     row = {"photographs": "mitsuba" if theirs else "ours", "size": size, "views": options.views, "steps": options.steps,
            "rounds": options.rounds, "seconds": round(about["seconds"], 1),
-           "psnr": psnr(again, wanted, seen > -1), "psnr_inside": psnr(again, wanted, inside),
+           "psnr_start": psnr(before, wanted, seen > -1), "psnr": psnr(again, wanted, seen > -1),
+           "psnr_inside": psnr(again, wanted, inside),
            "ours_of_the_truth": psnr(ours, wanted, seen > -1), "ours_of_the_truth_inside": psnr(ours, wanted, inside),
            "iou": float(np.minimum(alpha, seen).sum() / np.maximum(alpha, seen).sum()),
            "color_psnr": psnr(maps["found", "color"] * scale, maps["true", "color"], inside), "scale": scale.round(3).tolist(),

@@ -1,5 +1,6 @@
 """The benchmarks run, and what they measure with is right: small procedural targets always, photographs where they are."""
 
+import importlib.util
 import json
 import os
 import subprocess
@@ -18,6 +19,7 @@ import binned
 import binned_fits
 import error_vs_time
 import geometry
+import inverse
 import metrics
 import mips
 import reconstruct
@@ -269,3 +271,13 @@ def test_binned_fits_quick(tmp_path):
     binned_fits.main(["--quick", "--json", str(tmp_path / "out.json")])
     rows = json.loads((tmp_path / "out.json").read_text())["results"]
     assert [row["case"] for row in rows] == ["outline", "face K=3", "binned"] and all(row["distance_20"] < 0.5 for row in rows)
+
+
+@pytest.mark.full
+def test_inverse_quick(tmp_path):
+    """A pear and its own light, photographed by ourselves: unseen pictures come nearer."""
+    inverse.main(["--quick", "--data", str(tmp_path), "--json", str(tmp_path / "out.json"), "--picture", str(tmp_path / "out.png")])
+    found = json.loads((tmp_path / "out.json").read_text())
+    assert found["photographs"] == ("mitsuba" if importlib.util.find_spec("mitsuba") else "ours")
+    assert found["psnr"] > found["psnr_start"] + 1 and found["iou"] > 0.9 and found["chamfer_found"] < 0.05
+    assert found["ours_of_the_truth"] > 20
