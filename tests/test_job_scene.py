@@ -117,7 +117,8 @@ def test_every_parameter_can_be_named(folder):
     terms = [{"kind": "color", "norm": norm} for norm in ("l1", "huber", "pyramid")] + mesh_terms
     whole = job(part=parts, light=[{"kind": "point", "power": 8, "vector": [2, 2, 2]}],
                 phase=[{"name": "all", "steps": 3, "optimize": {k: {"rate": 0.001} for k in names},
-                        "loss": [*terms, {"kind": "magnitude", "parameter": "ball.scale", "weight": 0.1}]}])
+                        "loss": [*terms, {"kind": "magnitude", "parameter": "ball.scale", "weight": 0.1},
+                                 {"kind": "total_variation", "parameter": "pear.texture", "power": 2, "weight": 0.1}]}])
     found = parse_job(whole, folder / "job.toml")
     assert set(names) == found.scene.parameters.keys() and found.phases == ["all"]
     assert [p.name for p in found.program.plans] == ["all", "all.loss", "all.terms", "render"]
@@ -158,6 +159,10 @@ def test_every_parameter_can_be_named(folder):
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian"}]}]}, "part is missing; loss laplacian is of one part: pear ball"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "color", "power": 2}]}]}, "power is no setting of loss color"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "magnitude", "parameter": "x"}]}]}, "parameter is 'x'; there are: "),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "total_variation", "parameter": "ball.translation"}]}]},
+     "parameter ball.translation is no image"),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "total_variation", "parameter": "ball.translation", "norm": "l1"}]}]},
+     "norm is no setting of loss total_variation"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian", "part": "pear"}]}]},
      "optimizes ball.translation .* none of its terms depends on it"),
 ], ids=lambda x: x if isinstance(x, str) else "")
