@@ -15,6 +15,12 @@ from dressi_edge.cache.profile import Profile
 from dressi_edge.cli import main
 from dressi_edge.compiler import Program, compile_program
 from dressi_edge.compiler.backend.needs import shadowed
+from dressi_edge.compiler.io.cameras import orbit
+from dressi_edge.compiler.io.shapes import sphere
+from dressi_edge.compiler.passes.lists import rows_of
+from dressi_edge.compiler.render.optimizer import Adam
+from dressi_edge.compiler.render.raster import Softness
+from dressi_edge.compiler.scene.problem import Loss, Problem
 
 pytest_plugins = ["gpu"]
 
@@ -51,6 +57,25 @@ def test_the_first_that_fits_is_taken_and_the_report_says_why(gpu, several, emul
             assert report["variants"][other].endswith("profile limit4 allows 4 (maxColorAttachments)")
         else:
             assert report["variants"][other] == "not taken: limit8 comes before it and fits"
+    gpu.silent()
+
+
+def test_variants_agree_in_lists_of_texels_however_many_rows_each_profile_has(gpu, tmp_path):
+    """A texture whose list is one column on one of them, and more on the other."""
+    tall, path = gpu.at_hand("lavapipe"), tmp_path / "x.dressi"
+    assert (rows_of(tall), rows_of(Profile.load("vulkan_min"))) == (16384, 4096)
+    problem = Problem(sphere(42, 0.5), orbit(2, [20.0], 2.5, 50.0, (32, 32)), albedo="texture", texture_size=(1024, 512))
+    problem.phase("paint", 3, {"texture": Adam(0.05)}, [Loss("color")], Softness(1.0, delta=0.0))
+    found = []
+    for profiles in (["lavapipe", "vulkan_min"], ["lavapipe"], ["vulkan_min"]):
+        problem.compile(profiles, path)
+        for name in profiles:
+            with runtime.load(path, gpu.device, profile=name if len(profiles) > 1 else None) as session:
+                assert session.report()["texels"] == {"paint": {"texture": "listed"}}
+                session.set("targets", np.linspace(0.0, 1.0, 2 * 32 * 32 * 4, dtype=np.float32).reshape(2, 32, 32, 4))
+                session.step(3)
+                found.append(session.get("texture").tobytes())
+    assert len(set(found)) == 1
     gpu.silent()
 
 

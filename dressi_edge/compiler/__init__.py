@@ -29,7 +29,7 @@ from .passes.compute import choose as choose_compute
 from .passes.compute import find_compute, room
 from .passes.domains import find_domains
 from .passes.groups import grouped, lowered
-from .passes.lists import MIN_TEXELS, find_lists
+from .passes.lists import MIN_TEXELS, find_lists, rows_of
 from .passes.ordered import in_order
 from .passes.pack import pack
 from .passes.plans import PackedPlan, plan_graphs, stored
@@ -48,7 +48,8 @@ class Options:
     better where workgroups share memory; "pixel", pixelwise work, too, that leaves nothing undrawn; "all", the rest of it, too; by
     default as the profile prefers. The bits are the same.
     sparse_texels: of images of so many texels or more the optimizer updates the touched ones alone, of none where it is None.
-    memory: bytes that all images may take, None for any."""
+    memory: bytes that all images may take, None for any. rows: of lists of texels at the most, None for what the profile allows: lists are
+    values, in which variants agree."""
 
     naive: bool = False
     cache: bool = True
@@ -58,6 +59,7 @@ class Options:
     sparse_texels: int | None = MIN_TEXELS
     domains: bool = True
     compute: str | None = None
+    rows: int | None = None
 
     @property
     def lists(self) -> int | None:
@@ -98,7 +100,7 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     groups = checked("simplified", lowered(grouped(program), room(kind, profile)))
     groups = checked("banded", banded(groups, program))
     if options.lists is not None:
-        groups = tuple(find_lists(group, program, profile, options.lists) for group in groups)
+        groups = tuple(find_lists(group, program, options.rows or rows_of(profile), options.lists) for group in groups)
     if options.cache and not options.naive:
         groups = checked("listed", tuple(map(find_still, groups)))
         groups = checked("ordered", tuple(in_order(group, program, profile) for group in groups))
@@ -147,7 +149,7 @@ def compile_program(program: Program, profile: Profile | str | Sequence[Profile 
         raise ProfileError(f"profile {twice[0]} is given twice; each variant of a bundle needs one of another name")
     if not program.plans:
         raise GraphError("the program has no plan; add one with Program.plan before it is compiled")
-    options = replace(options, storage="half" if choose(options.storage, profiles) else "float")
+    options = replace(options, storage="half" if choose(options.storage, profiles) else "float", rows=min(map(rows_of, profiles)))
     made = [build(program, p, options, dump.watcher(p.name if len(profiles) > 1 else "")) for p in profiles]
     description, blobs = ((made[0].description, made[0].blobs) if len(made) == 1 else
                           _bundle.combine([(x.description, x.blobs) for x in made]))

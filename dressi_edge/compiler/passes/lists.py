@@ -34,9 +34,9 @@ class _Dense(Exception):
     """Why every texel is updated."""
 
 
-def find_lists(group: Group, program: Program, profile: Profile, least: int) -> Group:
-    """The plans of a group on lists, for images of at least so many texels, in images of as many rows as the profile draws to."""
-    specs, rooted, rows = group.specs, list(group.roots), rows_of(profile)
+def find_lists(group: Group, program: Program, rows: int, least: int) -> Group:
+    """The plans of a group on lists, for images of at least so many texels, in images of at most so many rows."""
+    specs, rooted = group.specs, list(group.roots)
     lists, told = [], {}
     phases = [k for k, spec in enumerate(specs) if spec.updates]
     for k in phases:
