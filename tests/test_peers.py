@@ -5,11 +5,13 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import peers
+import peers_pytorch3d
 
 
 def run(folder, monkeypatch, parts, installed=()):
@@ -73,3 +75,20 @@ def test_pixels_shading_and_gradient_are_those_of_mitsuba(tmp_path, monkeypatch)
         assert row["part"] != "shading" or row["median"] < 1e-5 and row["worst"] < 1e-3, row
     exact = next(row for row in rows if "Mitsuba's to exact" in row["case"])
     assert exact["cosine"] > 0.995 and abs(exact["slope"] - 1) < 0.05
+
+
+def test_pictures_are_those_of_pytorch3d_and_where_gradients_differ_its_own_differences_agree_with_ours(tmp_path):
+    """In float32; of a few vertices its gradient is not that of its picture, ours is."""
+    pytest.importorskip("pytorch3d", reason="PyTorch3D is not installed: its formulas in float64 are in tests/test_binned.py")
+    peers_pytorch3d.main(["--quick", "--json", str(tmp_path / "out.json")])
+    theirs, device = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert theirs["image"] < 1e-5 and theirs["alpha"] < 1e-5 and theirs["typical"] < 1e-4 and theirs["full"] == 0
+    assert device["image"] < 1e-5 and device["gradient"] < 1e-5 and device["off"] == 0
+    for ours in ("worst_ours", "worst_theirs_differences"):
+        np.testing.assert_allclose(theirs[ours], theirs["worst_exact"], rtol=0.02)
+
+
+def test_a_peer_that_is_missing_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pytorch3d", None)
+    with pytest.raises(SystemExit, match="pytorch3d is not installed; how to get torch and PyTorch3D: benchmarks/peers_py"):
+        peers_pytorch3d.main(["--quick"])
