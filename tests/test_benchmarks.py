@@ -108,6 +108,16 @@ def test_real_photographs_quick(tmp_path):
     assert (tmp_path / "contact.png").stat().st_size > 1000 and (tmp_path / "mesh.glb").exists()
 
 
+@pytest.mark.full
+def test_refined_poses_quick(tmp_path):
+    """Of a painted ring seen by cameras that are wrong: refined, they see its surface nearer to where the true ones do."""
+    import poses
+    poses.main(["oxford", "--quick", "--trials", "2", "--json", str(tmp_path / "out.json")])
+    held, refined = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert held["trials"] == refined["trials"] == 2 and held["pixels"] > 1.0
+    assert refined["pixels"] < 0.8 * held["pixels"] and refined["iou"] > held["iou"]
+
+
 def test_sphere_to_spot_quick(tmp_path):
     document = run(sphere_to_spot, tmp_path)
     assert [row["case"] for row in document["results"]] == ["same", "hard"]
