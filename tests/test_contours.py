@@ -144,6 +144,27 @@ def test_the_device_gives_the_gradients_of_the_reference(gpu):
     gpu.silent()
 
 
+@pytest.mark.full
+def test_three_views_of_an_uncommon_size_give_the_reference_s_picture_and_gradients(gpu):
+    near, far = icosphere(3, 0.35), icosphere(3, 0.7)
+    s = Scene(orbit(3, [20, -15, 40], 3.0, 45, (333, 217)))
+    x, y = s.parameter("near", near.positions + (0.1, 0.05, 0.75)), s.parameter("far", far.positions)
+    paint = s.parameter("paint", 0.5 + 0.4 * np.sin(5 * near.positions))
+    s.add(near, x, Unlit(Vertex(paint)))
+    s.add(far, y, Unlit(Vertex(constant_table(0.5 + 0.4 * np.cos(4 * far.positions)))))
+    s.vjp("v", ["near", "far", "paint"], color=s.frame(Outline(2.0, contours=True)).color)
+    slope = np.stack([np.sin(np.mgrid[:217, :333][1] / 30 + k) for k in range(3)], -1)[None].repeat(3, 0)
+    reference = ReferenceSession(s.program)
+    reference.set("v.color.grad", slope)
+    with gpu.open(s.program) as session:
+        session.set("v.color.grad", slope)
+        np.testing.assert_allclose(session.get("v.color"), reference.get("v.color"), atol=1e-4)
+        for name, within in (("near", 5e-3), ("far", 5e-3), ("paint", 1e-5)):
+            found, wanted = (np.asarray(each.get(f"v.{name}.grad"), float) for each in (session, reference))
+            assert np.linalg.norm(found - wanted) < within * np.linalg.norm(wanted), name
+    gpu.silent()
+
+
 @pytest.mark.parametrize("gap", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_gap_is_a_positive_number(gap):
     with pytest.raises(InputError, match="gap is .*a positive fraction of the distance"):
