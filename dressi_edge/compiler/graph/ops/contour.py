@@ -115,20 +115,21 @@ vec2 foot = segment.xy + t * along, across = foot - q;
 float d = length(across);
 ivec2 beyond = ivec2(floor(foot + across / max(d, 1e-10) + 0.5 * vec2(cell_size)));
 beyond = ivec2(center - 0.5 * vec2(cell_size)) + clamp(beyond, ivec2(0), cell_size - 1);
+ivec2 fronts_ = ivec2({front}(pixel), {front}(beyond));
+if (fronts_.x < 0 || fronts_.y < 0 || d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h}))
+    discard;
 vec2 depths_ = vec2(0.0);
 for (int k_ = 0; k_ < 2; ++k_) {
-    ivec2 at_ = k_ == 0 ? pixel : beyond;
-    int front_ = {front}(at_);
+    int front_ = k_ == 0 ? fronts_.x : fronts_.y;
     float depth_ = 0.0;
-    vec2 position_ = vec2(at_) + 0.5 - center;
+    vec2 position_ = vec2(k_ == 0 ? pixel : beyond) + 0.5 - center;
     DEPTH
     if (k_ == 0) depths_.x = depth_;
     else depths_.y = depth_;
 }
 float own = depths_.x, other = depths_.y, limit = (1.0 + float({gap})) / mix(nearness.x, nearness.y, t);
-bool covered = own > 0.0 && other > 0.0, outer = own > limit;
-if (!covered || !outer && !(other > limit) || d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h}))
-    discard;
+bool outer = own > limit;
+if (own <= 0.0 || other <= 0.0 || !outer && !(other > limit)) discard;
 gl_FragDepth = 0.9999 * d / float({radius});
 {y} = 2 * code + (outer ? 1 : 0);
 """
