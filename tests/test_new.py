@@ -194,6 +194,17 @@ def test_the_job_compiles_and_reconstructs_as_it_is(tmp_path):
     assert done.returncode == 0 and views["iou_mean"] > 0.93 and views["psnr_mean"] > 25, done.stderr
 
 
+def test_the_other_renderer_is_a_line_away(tmp_path):
+    written(tmp_path, folder_of(tmp_path))
+    job = tmp_path / "job.toml"
+    text = job.read_text()
+    assert text.count('# renderer = "binned"') == 1
+    job.write_text(text.replace('# renderer = "binned"', 'renderer = "binned"'))
+    assert tomllib.loads(job.read_text())["phase"][0]["renderer"] == "binned"
+    made = command("compile", "job.toml", "-p", "lavapipe", "-o", "job.dressi", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+
+
 def test_an_existing_job_is_kept_unless_it_is_to_be_replaced(tmp_path):
     folder = folder_of(tmp_path)
     (tmp_path / "job.toml").write_text("mine")

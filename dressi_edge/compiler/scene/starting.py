@@ -273,6 +273,7 @@ def _text(folder: str, keys: Sequence[str], size: int, views: Views, begin: _Beg
         "[render]", "r = 2.0".ljust(34) + "# pixels over which an outline is soft",
         *([f"texture_size = [{texels}, {texels}]"] if begin.carved else []), "",
         "[[phase]]", 'name = "shape"', f"steps = {steps[0]}", f'optimize.vertices = {{optimizer = "adam", rate = {rate}}}',
+        '# renderer = "binned"'.ljust(34) + "# every face near a pixel counts, hidden ones too; slower",
         "[[phase.loss]]", 'kind = "silhouette"', "[[phase.loss]]", 'kind = "laplacian"'.ljust(34) + "# smooth; more weight, fewer dents",
         *smooth, "",
         "[[phase]]", f'name = "{begin.painted}"', f"steps = {steps[1]}", "r = 1.0", "delta = 0.0",
