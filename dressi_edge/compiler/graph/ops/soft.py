@@ -145,9 +145,9 @@ def _boxes_sample(rng):
 
 
 op("soft_boxes", "v0 v1 v2", alike=((1, 0), (2, 0)), attrs="reach tight " + _CELLS, infer=at(0, vtype="ivec4"),
-   reads="texel texel texel", ref=reference.soft_boxes,
+   reads="own own own", ref=reference.soft_boxes,
    functions=FUNCTIONS, cost=60, sample=_boxes_sample,
-   glsl="""{ vec3 v0_ = {v0_at}({i}).xyz, v1_ = {v1_at}({i}).xyz, v2_ = {v2_at}({i}).xyz;
+   glsl="""{ vec3 v0_ = {v0}.xyz, v1_ = {v1}.xyz, v2_ = {v2}.xyz;
     vec4 s0_ = soft_clip(v0_, v1_), s1_ = soft_clip(v1_, v2_), s2_ = soft_clip(v0_, v2_);
     vec2 lo_ = vec2(1e9), hi_ = vec2(-1e9), cell_ = vec2(ivec2({cell_w}, {cell_h}));
     if (s0_.x < 1e8) { lo_ = min(s0_.xy, s0_.zw); hi_ = max(s0_.xy, s0_.zw); }
