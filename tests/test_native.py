@@ -175,7 +175,7 @@ def test_shaders_are_judged_alike(player):
     refused, accepted = same_judgement_of_shaders(player, damaged_shaders(5, 300, True), True)
     assert refused > 150 and accepted > 0
     refused, accepted = same_judgement_of_shaders(player, damaged_shaders(3, 800))
-    assert refused > 500 and accepted > 2
+    assert refused > 500 and accepted > 0
 
 
 @pytest.mark.full
