@@ -48,7 +48,7 @@ class ContourFragments(OutlineFragments):
         face = select(self.outer, apply("shift_right", shown, 2), select(self.beside, across, -1))
         nowhere = apply("broadcast", 0, extent=atlas.extent)  # of a pixel whose own face is another this is not in front
         self.layers = [*self.layers, Layer(face, nowhere, dist, select(self.outer, nearer, 0.0), select(self.outer, foot, beyond),
-                                           select(self.outer, apply("bit_and", shown, 3), 3))]
+                                           select(self.outer, apply("bit_and", shown, 3), 3), tiles)]
 
     def _listed(self, folds: Node) -> Compact:
         """All fold and boundary edges: each may be a contour."""

@@ -90,7 +90,8 @@ def near_faces(face: Node, value: Node, apart: bool = False) -> Node:
 class Layer:
     """One peel: global face index (-1 none; None where only silhouettes are asked for), hard flag, signed distance in pixels,
     probability (0 where there is none), and the point of the face nearest to the pixel, relative to the cell's centre. far: the corner
-    (0..2) of the sorted face that is not on the edge on which the point lies, 3 where it lies on none; None where that is not known."""
+    (0..2) of the sorted face that is not on the edge on which the point lies, 3 where it lies on none; None where that is not known.
+    tiles: of GUARDED pixels, 0 where no pixel has a face; None where most may."""
 
     face: Node | None
     hard: Node
@@ -98,6 +99,7 @@ class Layer:
     probability: Node
     point: Node
     far: Node | None = None
+    tiles: Node | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +199,7 @@ class Fragments:
     def _screen_corners(self, layer: Layer, span: Span | None) -> list[Node]:
         """The corners of the layer's face: x, y in pixels from the cell's centre times w, and w."""
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
         return [apply("swizzle", lookup(c, face, boxes), channels="xyw") * scale for c in self.view_corners(self.clip, span)]
 
     def barycentrics(self, layer: Layer, span: Span | None = None) -> list[Node]:
@@ -225,7 +227,7 @@ class Fragments:
         """How a constant attribute of corners, (F, 3, c) as in `interpolate_constant`, changes from pixel to pixel across and down at the
         layer's point: its derivatives, worked out from the face alone. Zero where the face is too thin for fp32 to tell; no gradient."""
         topology = (span or self).topology
-        over, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        over, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
         h = [stop_gradient(lookup(c, over, boxes)) for c in self.view_corners(self.clip, span)]
         sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
@@ -273,15 +275,17 @@ class Fragments:
         face = self.face_in_view(layer, span)
         return select(face >= 0, face + self.view * len(span.topology.faces), -1)
 
-    def _boxes_of(self, span: Span | None) -> Node:
-        if span is None:
-            return self.face_boxes
-        return portion(self.face_boxes, span.first, len(span.topology.faces), self.atlas.views)
+    def _boxes_of(self, layer: Layer, span: Span | None) -> Node:
+        """The pixels that each face can own in this layer: none, if none of its box is in the layer's tiles."""
+        boxes = self.face_boxes
+        if layer.tiles is not None:
+            boxes = select(apply("meets_tiles", boxes, layer.tiles, tile=GUARDED), boxes, 0)
+        return boxes if span is None else portion(boxes, span.first, len(span.topology.faces), self.atlas.views)
 
     def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None, span: Span | None = None) -> Node:
         """A vertex attribute (a table of all vertices, or of the span's) at the layer's point; zero where there is no face."""
         weights = weights or self.barycentrics(layer, span)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
         values = [lookup(c, face, boxes) for c in self.corners(attribute, span=span)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
@@ -290,13 +294,13 @@ class Fragments:
         """An attribute of corners at the layer's point: a table, and (F, 3) which entry each corner has, of all of the mesh's faces."""
         weights, topology = weights or self.barycentrics(layer, span), (span or self).topology
         index = np.take_along_axis(np.asarray(faces)[topology.kept], order_of(topology), 1)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(span)
+        face, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
         values = [lookup(lookup(attribute, np.tile(index[:, k], self.atlas.views)), face, boxes) for k in range(3)]
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
     def of_face(self, layer: Layer, values: Node, span: Span | None = None) -> Node:
         """The entry of a table of views x faces (of all, or of the span) that belongs to the layer's face; zero where there is none."""
-        return lookup(values, self.face_over_views(layer, span), self._boxes_of(span))
+        return lookup(values, self.face_over_views(layer, span), self._boxes_of(layer, span))
 
     def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None,
                              span: Span | None = None) -> Node:
