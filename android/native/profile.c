@@ -123,6 +123,16 @@ static uint32_t table_width(Call *call, const dressi_device *d) {
     }
 }
 
+/* Bytes of the largest memory that is the device's own; 0: it has none. */
+static VkDeviceSize own_heap(const dressi_device *d) {
+    VkDeviceSize most = 0;
+    for (uint32_t k = 0; k < d->memory.memoryHeapCount; k++) {
+        const VkMemoryHeap *heap = &d->memory.memoryHeaps[k];
+        if (heap->flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT && heap->size > most) most = heap->size;
+    }
+    return most;
+}
+
 static void say_profile(Text *text, const dressi_device *d, const char *name, const char *date, uint32_t width) {
     uint32_t version = d->properties.apiVersion;
     Text about = {0}, source = {0};
@@ -143,6 +153,7 @@ static void say_profile(Text *text, const dressi_device *d, const char *name, co
     if (!text->broken) say_json(text, about.at);
     say(text, ",\n    \"tile_bits\": null,\n    \"max_merged_attachments\": null,\n    \"max_live\": null,\n");
     if (width > 4) say(text, "    \"table_width\": %u,\n", width);
+    if (own_heap(d)) say(text, "    \"heap_bytes\": %llu,\n", (unsigned long long)own_heap(d));
     say(text, "    \"prefer_fp16\": false,\n");
     say(text, "    \"sources\": {\n      \"*\": {\n        \"source\": ");
     if (!text->broken) say_json(text, source.at);
