@@ -179,6 +179,7 @@ SPOT = ["spot silhouettes", "spot texture", "spot shape by colour", "spot textur
 BUNNY = ["bunny true mesh", "bunny silhouettes", "bunny more silhouettes", "bunny shading"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name, cases", [("spot", SPOT), ("bunny", BUNNY)])
 def test_reconstruction_quick(tmp_path, name, cases):
     check(run(reconstruct, tmp_path, name), cases)

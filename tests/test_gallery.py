@@ -9,6 +9,7 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
+SLOW = ("hidden", "inverse_rendering")  # a quarter of a minute each
 SMALL = {  # what is given to main(), and what its numbers must say
     "antialiasing": ({"size": (80, 60), "samples": 8}, lambda r: r["contours"] > r["outline"] + 4 > r["sharp"] + 6 > r["paper_c"] + 6),
     "image_fit": ({"steps": 150}, lambda r: r["psnr"] > 28),
@@ -39,7 +40,8 @@ def load(path):
     return module
 
 
-@pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", [pytest.param(p, marks=pytest.mark.full if p.stem in SLOW else ()) for p in PROGRAMS],
+                         ids=lambda p: p.stem)
 def test_a_program_recovers_what_it_says(path, tmp_path, own_ops):
     options, right = SMALL[path.stem]
     found = load(path).main(str(tmp_path), **options)

@@ -194,6 +194,7 @@ def test_the_job_compiles_and_reconstructs_as_it_is(tmp_path):
     assert done.returncode == 0 and views["iou_mean"] > 0.93 and views["psnr_mean"] > 25, done.stderr
 
 
+@pytest.mark.full
 def test_the_other_renderer_is_a_line_away(tmp_path):
     written(tmp_path, folder_of(tmp_path))
     job = tmp_path / "job.toml"
