@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 from PIL import Image
-from test_feed import NAMES, fit, made, solved
+from test_feed import NAMES, SIZE, blobs, fit, made, solved
 from test_views import write_views
 
 from dressi_edge import runtime
@@ -18,7 +18,6 @@ from dressi_edge.compiler.graph.program import Program
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.again import reader
 from dressi_edge.compiler.io.averaging import downsampled
-from dressi_edge.compiler.io.cameras import orbit
 from dressi_edge.compiler.io.decode import Masks, Photograph
 from dressi_edge.compiler.io.lens import Lens
 from dressi_edge.compiler.io.pictures import Pictures
@@ -27,7 +26,6 @@ from dressi_edge.compiler.scene import targets
 
 pytest_plugins = ["gpu"]
 
-N, SIZE = 7, (40, 30)
 KINDS = {1: 0, 2: 4, 3: 2, 4: 6}  # of a PNG, by channels
 
 
@@ -67,12 +65,7 @@ def as_rgba(words):
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory):
     """A folder of views of a blob, of 16 bits but for the last, which has 8."""
-    rng, cams = np.random.default_rng(3), orbit(N, [20.0, -15.0], 2.6, 50.0, SIZE)
-    y, x = np.mgrid[:SIZE[1], :SIZE[0]] + 0.5
-    images = []
-    for k in range(N):
-        r = np.hypot(x - 20 - np.cos(k), y - 15 + np.sin(k)) / (9 + k % 3)
-        images.append(np.concatenate([rng.random((*r.shape, 3)), np.clip((1.0 - r) * 8.0, 0.0, 1.0)[..., None]], -1))
+    images, cams = blobs()
     folder = write_views(tmp_path_factory.mktemp("photos"), images, cams)
     listing = next(folder.glob("transforms*.json"))
     for frame, image in list(zip(json.loads(listing.read_text())["frames"], images))[:-1]:

@@ -53,17 +53,22 @@ def few(monkeypatch):
     monkeypatch.setattr(targets, "SLOTS", 3)
 
 
-@pytest.fixture(scope="module")
-def photos(tmp_path_factory):
-    """A folder of views of a blob that no two views show alike, soft at its rim."""
-    rng, cams = np.random.default_rng(3), orbit(N, [20.0, -15.0], 2.6, 50.0, SIZE)
+def blobs():
+    """Pictures of a blob that no two views show alike, soft at its rim, and their cameras."""
+    rng = np.random.default_rng(3)
     y, x = np.mgrid[:SIZE[1], :SIZE[0]] + 0.5
     images = []
     for k in range(N):
         r = np.hypot(x - 20 - np.cos(k), y - 15 + np.sin(k)) / (9 + k % 3)
         alpha = np.clip((1.0 - r) * 8.0, 0.0, 1.0)
         images.append(np.concatenate([rng.random((*r.shape, 3)), alpha[..., None]], -1))
-    return write_views(tmp_path_factory.mktemp("photos"), images, cams)
+    return images, orbit(N, [20.0, -15.0], 2.6, 50.0, SIZE)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    """A folder of views of a blob."""
+    return write_views(tmp_path_factory.mktemp("photos"), *blobs())
 
 
 def fit(views, order="shuffle", **how):

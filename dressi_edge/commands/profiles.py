@@ -70,8 +70,7 @@ def capture(args) -> None:
 
 def heap(device) -> int | None:
     """Bytes of the largest memory that is the device's own."""
-    from ..runtime.vk import VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
-    return max((size for size, flags in device.heaps if flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT), default=None)
+    return max(device.local_heaps, default=None)
 
 
 def table_width(device) -> int | None:

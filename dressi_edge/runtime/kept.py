@@ -183,8 +183,7 @@ class Kept:
             self._drop(turn, view)
         most = USUAL_BYTES if turn.memory is None else max(0, turn.memory - s._images.bytes)
         most = most if turn.room is None else min(most, max(0, turn.room - s._images.bytes))
-        heap = max((size for size, flags in s.device.heaps if flags & vk.VK_MEMORY_HEAP_DEVICE_LOCAL_BIT), default=0)
-        most = min(most, max(0, heap - s._images.bytes) // HEAP_SHARE)
+        most = min(most, max(0, max(s.device.local_heaps, default=0) - s._images.bytes) // HEAP_SHARE)
         if self.bytes + sum(map(image_bytes, records)) > most:
             return None
         try:

@@ -138,8 +138,7 @@ def megabytes(size: int) -> str:
 
 def too_large(records: list[dict], device) -> str:
     """What to say if the texels alone are more than the device's memory; else nothing. Drivers take more, for alignment."""
-    local = [size for size, flags in device.heaps if flags & vk.VK_MEMORY_HEAP_DEVICE_LOCAL_BIT]
-    have = sum(local or [size for size, _ in device.heaps])
+    have = sum(device.local_heaps or [size for size, _ in device.heaps])
     need = sum(image_bytes(r) * r["slots"] for r in records)
     return f"its images need {megabytes(need)}; {device.name} has {megabytes(have)} of memory for them" if need > have else ""
 
