@@ -1,14 +1,16 @@
 """rasterize, render, interpolate and edge_grad_estimator in DRTK's shapes, against its published formulas in float64."""
 import numpy as np
 import pytest
-from undertest import DEVICE
 
 from dressi_edge.cache.errors import InputError
 
 torch = pytest.importorskip("torch", reason="the extra torch is not installed, so DRTK's functions were not run")
 
+from test_primitives_torch import context  # noqa: E402, F401  (a fixture)
+
 import dressi_edge.primitives.drtk as drtk  # noqa: E402
-import dressi_edge.primitives.torch as dr  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("context")
 
 HEIGHT, WIDTH = 36, 48
 FACES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]])
@@ -16,16 +18,6 @@ PLACES = np.array([[[5.2, 4.1, 2.0], [40.3, 7.7, 3.0], [37.9, 30.2, 2.5], [8.4, 
                     [44.2, 17.3, 1.8], [15.7, 33.1, 6.0]],
                    [[9.1, 2.2, 5.0], [30.3, 5.7, 5.0], [31.9, 20.2, 5.5], [6.4, 21.6, 5.0], [20.1, 3.0, 9.5],
                     [44.2, 17.3, 7.8], [15.7, 33.1, 8.0]]])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def context(tmp_path_factory):
-    patch = pytest.MonkeyPatch()
-    patch.setenv("DRESSI_CACHE", str(tmp_path_factory.mktemp("cache")))
-    made = dr.Context(DEVICE)
-    yield made
-    made.close()
-    patch.undo()
 
 
 def published(v):
