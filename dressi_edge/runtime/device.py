@@ -107,7 +107,6 @@ class Device:
     statistics                    whether it keeps what its compiler says of pipelines: `commands/statistics.py`
     timestamp_period, timestamp_bits                   ns a tick; valid bits of a timestamp, 0 if the queue has none
     memory_types, heaps           [(flags, heap index)]; [(bytes, flags)]
-    local_heaps                   bytes of each heap that is the device's own
     instance, physical, device, queue, queue_family    handles and the family's index
     compute                       whether the queue takes dispatches, too
     messages                      what the validation layer said; still there after `close`
@@ -135,7 +134,6 @@ class Device:
         memory = vk.GetPhysicalDeviceMemoryProperties(physical)
         self.memory_types = [(t.propertyFlags, t.heapIndex) for t in memory.memoryTypes[:memory.memoryTypeCount]]
         self.heaps = [(h.size, h.flags) for h in memory.memoryHeaps[:memory.memoryHeapCount]]
-        self.local_heaps = [size for size, flags in self.heaps if flags & vk.VK_MEMORY_HEAP_DEVICE_LOCAL_BIT]
         self._read_driver(version)
         self.compute = False
         for index, family in enumerate(vk.GetPhysicalDeviceQueueFamilyProperties(physical)):
@@ -229,6 +227,11 @@ class Device:
             pNext=chain, pQueueCreateInfos=queues, ppEnabledExtensionNames=extensions,
             pEnabledFeatures=vk.VkPhysicalDeviceFeatures(**dict.fromkeys(features, vk.VK_TRUE))))
         self.queue = vk.GetDeviceQueue(self.device, self.queue_family, 0)
+
+    @property
+    def local_heaps(self):
+        """Bytes of each heap that is the device's own."""
+        return [size for size, flags in self.heaps if flags & vk.VK_MEMORY_HEAP_DEVICE_LOCAL_BIT]
 
     @property
     def driver(self):
