@@ -6,6 +6,8 @@ from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
 from dressi_edge.compiler.graph.functions import compose, constant_table
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
+from dressi_edge.compiler.render.raster.contours import ContourFragments
+from dressi_edge.compiler.render.raster.fragments import Fragments
 from dressi_edge.compiler.scene import HardSoftRas, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
 
 pytest_plugins = ["gpu"]
@@ -142,6 +144,54 @@ def test_the_device_gives_the_gradients_of_the_reference(gpu):
         for name in s.parameters:
             np.testing.assert_allclose(two[name], one[name], atol=1e-3 * np.abs(one[name]).max())
     gpu.silent()
+
+
+def lit(normals):
+    """A part that reads its colours, places and normals before one that does not: gradients by how it is turned, where it is, its paint."""
+    front, back = icosphere(1, 0.35), icosphere(2, 0.9)
+    s = Scene(orbit(2, [10, -5], 3.5, 36, (48, 40)), (0.2, 0.1, 0.0))
+    turn, place = (s.parameter(name, np.array(start)) for name, start in (("turn", [0.1, -0.2, 0.3]), ("place", [0.1, 0.05, 1.0])))
+    paint = s.parameter("paint", 0.5 + 0.4 * np.sin(5 * front.positions))
+    s.add(front, rigid(front.positions, turn, place), lambda x: x.vertex(paint) * 0.7 + x.normal * 0.3 + x.position * 0.1, normals=normals)
+    s.add(back, material=Unlit((0.1, 0.9, 0.4)))
+    s.vjp("v", list(s.parameters), color=s.frame(Outline(contours=True)).color)
+    return s, np.random.default_rng(3).normal(size=(2, 40, 48, 3))
+
+
+def test_gradients_are_differences_of_the_picture(gpu):
+    """Of the reference in float64; all choices stay what they are as far as these steps go."""
+    s, given = lit("smooth")
+    with runtime.load(gpu.compile(s.program), gpu.device) as session:
+        found = session.backward("v", color=given)
+    gpu.silent()
+    with ReferenceSession(s.program) as exact:
+        for name, step in (("turn", 2.0 ** -18), ("place", 2.0 ** -18), ("paint", 2.0 ** -7)):
+            start, slopes = np.asarray(exact.get(name)), {}
+            for k in range(0, start.size, 1 if start.size == 3 else 31):
+                losses = []
+                for sign in (1, -1):
+                    moved = start.copy()
+                    moved.reshape(-1)[k] += sign * step
+                    exact.set(name, moved)
+                    losses.append((exact.forward("v")["color"] * given).sum())
+                slopes[k] = (losses[0] - losses[1]) / (2 * step)
+            exact.set(name, start)
+            got = np.asarray(found[name]).reshape(-1)[list(slopes)]
+            np.testing.assert_allclose(got, list(slopes.values()), atol=5e-3 * np.abs(found[name]).max(), err_msg=name)
+
+
+def test_sums_beside_edges_are_those_over_all_pixels_of_faces(monkeypatch):
+    """What the far side of a contour adds up edge by edge, summed face by face instead; flat normals, two parts, in the reference."""
+    found = []
+    for _ in range(2):
+        s, given = lit("flat")
+        with ReferenceSession(s.program) as exact:
+            found.append(exact.backward("v", color=given))
+        monkeypatch.setattr(ContourFragments, "_at_corners", Fragments._at_corners)
+        monkeypatch.setattr(ContourFragments, "of_face", Fragments.of_face)
+    for name in found[0]:
+        assert np.abs(found[0][name]).max() > 1e-2
+        np.testing.assert_allclose(found[1][name], found[0][name], atol=1e-6 * np.abs(found[0][name]).max())
 
 
 @pytest.mark.full

@@ -135,16 +135,23 @@ vec3 v0 = vec3(0);
 { vec2 d_ = u3.zw - u3.xy;
 bool level_ = abs(d_.y) < 0.25;
 float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float(99.0) * length(d_) / abs(d_.y) + 0.02 + 2e-3 * abs(slope_);
-ivec4 box_ = clamp(u2, ivec4(0), ivec4(40, 24, 40, 24));
-int b_ = box_.y - 1;
-for (int a_ = 0, end_ = 0; ; ++a_) {
-if (a_ >= end_) {
-if (++b_ >= box_.w) break;
-float at_ = u4.x + u3.x + (float(b_) + 0.5 - u4.y - u3.y) * slope_ - 0.5;
+ivec4 box_ = clamp(u2, ivec4(0), ivec4(40, 24, 40, 24)), named_ = ivec4(0);
+ivec2 q_ = ivec2(0, box_.y - 1);
+int end_ = 0;
+for (;;) {
+bool hit_ = false;
+for (bool left_ = true; left_ && !hit_;) {
+if (++q_.x >= end_) {
+left_ = ++q_.y < box_.w;
+float at_ = u4.x + u3.x + (float(q_.y) + 0.5 - u4.y - u3.y) * slope_ - 0.5;
 ivec2 row_ = ivec2(clamp(vec2(ceil(at_ - wide_), floor(at_ + wide_) + 1.0), vec2(box_.xx), vec2(box_.zz)));
-a_ = row_.x; end_ = row_.y;
-if (a_ >= end_) continue;
+q_.x = row_.x;
+end_ = row_.y;
 }
-ivec2 q_ = ivec2(a_, b_); ivec4 named_ = ivec4(T1(q_)); if (named_[0] == (pixel.y * 4 + pixel.x) + 1) v0 += T0(q_); } }
+hit_ = left_ && q_.x < end_;
+named_ = ivec4(T1(hit_ ? q_ : ivec2(0)));
+hit_ = hit_ && any(equal(named_, ivec4((pixel.y * 4 + pixel.x) + 1)));
+}
+if (!hit_) break; if (named_[0] == (pixel.y * 4 + pixel.x) + 1) v0 += T0(q_); } }
 o0 = vec4(v0, 0);
 }

@@ -134,11 +134,13 @@ class Frame:
 
     def _in_layer(self, read: Callable[[Surface, int], Node], layer: int, materials: bool) -> Node:
         """Of a layer; each part's, or that of parts that are made alike, is worked out in the tiles that show it."""
-        total, together = None, self._together(layer, materials)
+        total, together, shown = None, self._together(layer, materials), self.fragments.layers[layer]
+        if shown.tiles is not None and len(together) == 1:
+            return shown.near(read(together[0][1], together[0][0]))
         for k, s in together:
             value = near_faces(s.face_over_views, read(s, k), apart=len(together) > 1)
             total = value if total is None else select(s.inside, value, total)
-        return total if len(together) == 1 else near_faces(self.fragments.layers[layer].face, total)  # nothing elsewhere
+        return total if len(together) == 1 else shown.near(total)  # nothing elsewhere
 
     def _at_corner(self, read: Callable[[Surface, int], Node], number: int) -> tuple[Node, bool]:
         """Of a corner of each face, a table of views x faces; and whether all that was read is linear on faces."""

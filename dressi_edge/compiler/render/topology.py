@@ -90,6 +90,12 @@ class Topology:
         return np.stack([owner[order[start[:-1]]], np.where(count == 1, -1, np.where(count == 2, second, -2))], 1)
 
     @cached_property
+    def far_corners(self) -> np.ndarray:
+        """(E,): which sorted corner of its first face is not on the edge."""
+        own = self.face_edges[self.edge_faces[:, 0]] == np.arange(len(self.edges))[:, None]
+        return np.array((2, 0, 1))[own.argmax(axis=1)]
+
+    @cached_property
     def edge_vertices(self) -> np.ndarray:
         """(E, 4): the edge's ends and the far corners of its two faces; -1 in last place where there are not exactly two."""
         ends, faces = self.edges, self.edge_faces

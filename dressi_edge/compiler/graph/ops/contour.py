@@ -116,10 +116,9 @@ float d = length(across);
 ivec2 beyond = ivec2(floor(foot + across / max(d, 1e-10) + 0.5 * vec2(cell_size)));
 beyond = ivec2(center - 0.5 * vec2(cell_size)) + clamp(beyond, ivec2(0), cell_size - 1);
 ivec2 fronts_ = ivec2({front}(pixel), {front}(beyond));
-if (fronts_.x < 0 || fronts_.y < 0 || d > float({radius}) || abs(q.x) > 0.5 * float({cell_w}) || abs(q.y) > 0.5 * float({cell_h}))
-    discard;
+bool seen_ = fronts_.x >= 0 && fronts_.y >= 0 && d <= float({radius}) && abs(q.x) <= 0.5 * float({cell_w}) && abs(q.y) <= 0.5 * float({cell_h});
 vec2 depths_ = vec2(0.0);
-for (int k_ = 0; k_ < 2; ++k_) {
+for (int k_ = 0; k_ < (seen_ ? 2 : 0); ++k_) {  // no turn for most: machines that cannot branch around a body can leave a loop
     int front_ = k_ == 0 ? fronts_.x : fronts_.y;
     float depth_ = 0.0;
     vec2 position_ = vec2(k_ == 0 ? pixel : beyond) + 0.5 - center;
@@ -133,8 +132,6 @@ if (own <= 0.0 || other <= 0.0 || !outer && !(other > limit)) discard;
 gl_FragDepth = 0.9999 * d / float({radius});
 {y} = 2 * code + (outer ? 1 : 0);
 """
-
-
 
 
 def _contours_ref(segments, nearness, entries, front, clip, faces, count, face_count, vertices, **attrs):

@@ -240,22 +240,28 @@ op("band_total", "parts", attrs="bands count", reads="texel", infer=_band_total_
    doc="The sum of each entry's bands, first to last.")
 
 # Rows of a capsule: the slab within `reach` of the segment's line, wider by more than rounding; the whole box where the line is nearly
-# level. All pixels in one loop: machines that run several entries at once then turn as often as the longest needs, not its longest row
-# times its most rows.
+# level. From pixel to pixel that names the entry, all in one loop: see `_BINS`.
 _CAPSULE = """{ vec2 d_ = {segment}.zw - {segment}.xy;
 bool level_ = abs(d_.y) < 0.25;
 float slope_ = level_ ? 0.0 : d_.x / d_.y, wide_ = level_ ? 1e6 : float({reach}) * length(d_) / abs(d_.y) + 0.02 + 2e-3 * abs(slope_);
-ivec4 box_ = clamp({box}, ivec4(0), ivec4({places_w}, {places_h}, {places_w}, {places_h}));
-int b_ = box_.y - 1;
-for (int a_ = 0, end_ = 0; ; ++a_) {
-if (a_ >= end_) {
-if (++b_ >= box_.w) break;
-float at_ = {center}.x + {segment}.x + (float(b_) + 0.5 - {center}.y - {segment}.y) * slope_ - 0.5;
+ivec4 box_ = clamp({box}, ivec4(0), ivec4({places_w}, {places_h}, {places_w}, {places_h})), named_ = ivec4(0);
+ivec2 q_ = ivec2(0, box_.y - 1);
+int end_ = 0;
+for (;;) {
+bool hit_ = false;
+for (bool left_ = true; left_ && !hit_;) {
+if (++q_.x >= end_) {
+left_ = ++q_.y < box_.w;
+float at_ = {center}.x + {segment}.x + (float(q_.y) + 0.5 - {center}.y - {segment}.y) * slope_ - 0.5;
 ivec2 row_ = ivec2(clamp(vec2(ceil(at_ - wide_), floor(at_ + wide_) + 1.0), vec2(box_.xx), vec2(box_.zz)));
-a_ = row_.x; end_ = row_.y;
-if (a_ >= end_) continue;
+q_.x = row_.x;
+end_ = row_.y;
 }
-ivec2 q_ = ivec2(a_, b_); ivec4 named_ = ivec4({places}(q_));"""
+hit_ = left_ && q_.x < end_;
+named_ = ivec4({places}(hit_ ? q_ : ivec2(0)));
+hit_ = hit_ && any(equal(named_, ivec4({i} + 1)));
+}
+if (!hit_) break;"""
 
 
 def _capsules(rng):

@@ -8,12 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...graph.functions import apply, clamp, compose, constant_table, length, lookup, maximum, select, sigmoid, stop_gradient, to_int
+import numpy as np
+
+from ...graph.functions import (
+    apply,
+    clamp,
+    compose,
+    constant_table,
+    equal,
+    length,
+    lookup,
+    maximum,
+    not_equal,
+    select,
+    sigmoid,
+    stop_gradient,
+    to_int,
+)
 from ...graph.ir import Node
 from ...graph.ops.compact import Compact, compact
 from ..atlas import Atlas
 from ..topology import Topology
-from .fragments import GUARDED, Layer, around, near_faces
+from .fragments import GUARDED, Layer, Span, around, near_faces
 from .outline import OutlineFragments
 from .softness import Softness
 
@@ -35,10 +51,11 @@ class ContourFragments(OutlineFragments):
         tiles = apply("occupied", code, width=GUARDED[0], height=GUARDED[1])
         place = apply("inside_tiles", apply("shift_right", code, 1) + 1, tiles, tile=GUARDED)
         self.tiles = tiles
-        self.beside = near_faces(code, place) > 0  # a contour is within r
+        self.beside = place > 0  # a contour is within r
         self.outer = apply("bit_and", self.beside, apply("bit_and", code, 1))
         boxes = around(fixed, exists, r + 0.05, view, atlas)
-        segment = apply("lookup_near", segments, place, boxes, fixed, self._center(view), reach=r, channel=0)
+        self._where = place, boxes, fixed, self._center(view)
+        segment = self._along(segments)
         dist, foot = self._nearest(segment, select(self.outer, 0, 1))
         nearer = sigmoid(dist * (1.0 / softness.width))  # how much of the picture is the near side
         self.share = select(self.outer, 1.0 - nearer, nearer), select(self.outer, nearer, 1.0 - nearer)  # of the own face, of the other
@@ -53,6 +70,38 @@ class ContourFragments(OutlineFragments):
     def _listed(self, folds: Node) -> Compact:
         """All fold and boundary edges: each may be a contour."""
         return compact(select(folds.x < 1e8, 1, 0), 6)
+
+    def _along(self, values: Node) -> Node:
+        """Of each pixel what a table of the listed edges has of its contour."""
+        return apply("lookup_near", values, *self._where, reach=float(self.softness.r), channel=0)
+
+    def _firsts(self, span: Span | None) -> np.ndarray:
+        """(views x edges,): the first face of each edge as tables of views x faces, of the span if it is given, have it; -1 if it is of
+        another."""
+        t, faces = self.topology, (span or self).topology.faces
+        face = t.edge_faces[:, 0] - (span.first if span else 0)
+        inside = (face >= 0) & (face < len(faces))
+        return np.concatenate([np.where(inside, face + v * len(faces), -1) for v in range(self.atlas.views)])
+
+    def _at_corners(self, layer: Layer, values: Node, names: np.ndarray, span: Span | None) -> list[Node]:
+        """On the far side of a contour the point lies on the edge: what the edge's ends have has the gradient, summed with the edge's own
+        over the pixels beside it, and the corner that is not on it has none. Nor has anything on the near side."""
+        if layer is not self.layers[-1]:
+            return super()._at_corners(layer, values, names, span)
+        face, firsts = self.face_over_views(layer, span), self._firsts(span)
+        a, b, c = np.where(firsts >= 0, names[:, firsts], -1)
+        far = np.tile(self.topology.far_corners, self.atlas.views)
+        start, end = (self._along(self.edges.lookup(values, names)) for names in (np.where(far == 0, b, a), np.where(far == 2, b, c)))
+        held = [stop_gradient(lookup(lookup(values, corner), face)) for corner in names]
+        ends = start, select(equal(layer.far, 0), start, end), end
+        return [select(apply("bit_and", self.outer, not_equal(layer.far, k)), *x) for k, x in enumerate(zip(ends, held))]
+
+    def of_face(self, layer: Layer, values: Node, span: Span | None = None) -> Node:
+        """See `Fragments.of_face`; with the gradient of `_at_corners`."""
+        if layer is not self.layers[-1]:
+            return super().of_face(layer, values, span)
+        held = stop_gradient(lookup(values, self.face_over_views(layer, span)))
+        return select(self.outer, self._along(self.edges.lookup(values, self._firsts(span))), held)
 
     @property
     def _middle(self) -> Node:
@@ -72,8 +121,16 @@ class ContourFragments(OutlineFragments):
         equation 5 says. What lies across has no gradient of its own. The other side has passes of its own: few tiles have contours."""
         own, other = shaded
         other = select(self.outer, other, stop_gradient(other)) * self.share[1]
-        less, other = (apply("inside_tiles", select(self.beside, x, 0.0), self.tiles, tile=GUARDED, apart=True)
-                       for x in (self.share[0] - 1.0, other))
+        less = self.share[0] - 1.0
+        if other.channels < 4:  # one image of both
+            both = self._apart(compose(other, less))
+            other, less = apply("swizzle", both, channels="xyz"[:other.channels]), apply("swizzle", both, channels="xyzw"[other.channels])
+        else:
+            less, other = self._apart(less), self._apart(other)
         both = near_faces(self.layers[0].face, own * (1.0 + less) + other)  # one pass leaves out what shows nothing
         alpha = self.silhouette()
         return both * alpha + background * (1.0 - alpha)
+
+    def _apart(self, value: Node) -> Node:
+        """A value beside contours, zero elsewhere, in passes of its own."""
+        return apply("inside_tiles", select(self.beside, value, 0.0), self.tiles, tile=GUARDED, apart=True)

@@ -101,6 +101,10 @@ class Layer:
     far: Node | None = None
     tiles: Node | None = None
 
+    def near(self, value: Node) -> Node:
+        """A value in the tiles that have pixels of a face, zero outside."""
+        return near_faces(self.face, value) if self.tiles is None else apply("inside_tiles", value, self.tiles, tile=GUARDED)
+
 
 @dataclass(frozen=True, eq=False)
 class Span:
@@ -186,21 +190,29 @@ class Fragments:
         return compose((apply("to_float", apply("imod", view, a.columns)) + 0.5) * float(a.width),
                        (apply("to_float", apply("idiv", view, a.columns)) + 0.5) * float(a.height))
 
-    def corners(self, table: Node, span: Span | None = None) -> list[Node]:
-        """Tables (views x faces) of an attribute of vertices (of all, or of the span's) at the three sorted corners of each face."""
-        faces = (span or self).topology.sorted_faces
-        return [lookup(table, np.tile(faces[:, k], self.atlas.views)) for k in range(3)]
+    def _vertices(self, span: Span | None) -> np.ndarray:
+        """(3, views x faces): which of a table of vertices, of all parts or of the span's, the sorted corners of each face are."""
+        return np.tile((span or self).topology.sorted_faces.T, self.atlas.views)
+
+    def _view_vertices(self, span: Span | None) -> np.ndarray:
+        """The same of a table of views x vertices, of all parts."""
+        faces, step = (span or self).topology.sorted_faces.T + (span.first_vertex if span else 0), self.topology.vertex_count
+        return np.concatenate([faces + v * step for v in range(self.atlas.views)], 1)
 
     def view_corners(self, table: Node, span: Span | None = None) -> list[Node]:
-        """The same of a table of views x vertices, of all parts."""
-        faces, step = (span or self).topology.sorted_faces + (span.first_vertex if span else 0), self.topology.vertex_count
-        return [lookup(table, np.concatenate([v * step + faces[:, k] for v in range(self.atlas.views)])) for k in range(3)]
+        """Tables (views x faces) of a table of views x vertices, of all parts, at the three sorted corners of each face."""
+        return [lookup(table, names) for names in self._view_vertices(span)]
+
+    def _at_corners(self, layer: Layer, values: Node, names: np.ndarray, span: Span | None) -> list[Node]:
+        """Of each pixel what a table has at the three corners of the layer's face. names: (3, views x faces), of the span if it is given:
+        which of its entries each corner has."""
+        face, boxes = self.face_over_views(layer, span), self._boxes(span)
+        return [lookup(lookup(values, corner), face, boxes) for corner in names]
 
     def _screen_corners(self, layer: Layer, span: Span | None) -> list[Node]:
         """The corners of the layer's face: x, y in pixels from the cell's centre times w, and w."""
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
-        return [apply("swizzle", lookup(c, face, boxes), channels="xyw") * scale for c in self.view_corners(self.clip, span)]
+        return [apply("swizzle", c, channels="xyw") * scale for c in self._at_corners(layer, self.clip, self._view_vertices(span), span)]
 
     def barycentrics(self, layer: Layer, span: Span | None = None) -> list[Node]:
         """Perspective-correct barycentrics at the layer's point, clamped to the face (homogeneous edge functions relative to the
@@ -227,7 +239,7 @@ class Fragments:
         """How a constant attribute of corners, (F, 3, c) as in `interpolate_constant`, changes from pixel to pixel across and down at the
         layer's point: its derivatives, worked out from the face alone. Zero where the face is too thin for fp32 to tell; no gradient."""
         topology = (span or self).topology
-        over, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
+        over, boxes = self.face_over_views(layer, span), self._boxes(span)
         h = [stop_gradient(lookup(c, over, boxes)) for c in self.view_corners(self.clip, span)]
         sorted_corners = np.take_along_axis(np.asarray(corners)[topology.kept], order_of(topology)[..., None], 1)
         face = self.face_in_view(layer, span)
@@ -275,18 +287,15 @@ class Fragments:
         face = self.face_in_view(layer, span)
         return select(face >= 0, face + self.view * len(span.topology.faces), -1)
 
-    def _boxes_of(self, layer: Layer, span: Span | None) -> Node:
-        """The pixels that each face can own in this layer: none, if none of its box is in the layer's tiles."""
+    def _boxes(self, span: Span | None) -> Node:
+        """The pixels that each face, of the span if it is given, can own."""
         boxes = self.face_boxes
-        if layer.tiles is not None:
-            boxes = select(apply("meets_tiles", boxes, layer.tiles, tile=GUARDED), boxes, 0)
         return boxes if span is None else portion(boxes, span.first, len(span.topology.faces), self.atlas.views)
 
     def interpolate(self, layer: Layer, attribute: Node, weights: Sequence[Node] | None = None, span: Span | None = None) -> Node:
         """A vertex attribute (a table of all vertices, or of the span's) at the layer's point; zero where there is no face."""
         weights = weights or self.barycentrics(layer, span)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
-        values = [lookup(c, face, boxes) for c in self.corners(attribute, span=span)]
+        values = self._at_corners(layer, attribute, self._vertices(span), span)
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
     def interpolate_indexed(self, layer: Layer, attribute: Node, faces: np.ndarray, weights: Sequence[Node] | None = None,
@@ -294,13 +303,12 @@ class Fragments:
         """An attribute of corners at the layer's point: a table, and (F, 3) which entry each corner has, of all of the mesh's faces."""
         weights, topology = weights or self.barycentrics(layer, span), (span or self).topology
         index = np.take_along_axis(np.asarray(faces)[topology.kept], order_of(topology), 1)
-        face, boxes = self.face_over_views(layer, span), self._boxes_of(layer, span)
-        values = [lookup(lookup(attribute, np.tile(index[:, k], self.atlas.views)), face, boxes) for k in range(3)]
+        values = self._at_corners(layer, attribute, np.tile(index.T, self.atlas.views), span)
         return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 
     def of_face(self, layer: Layer, values: Node, span: Span | None = None) -> Node:
         """The entry of a table of views x faces (of all, or of the span) that belongs to the layer's face; zero where there is none."""
-        return lookup(values, self.face_over_views(layer, span), self._boxes_of(layer, span))
+        return lookup(values, self.face_over_views(layer, span), self._boxes(span))
 
     def interpolate_constant(self, layer: Layer, corners: np.ndarray, weights: Sequence[Node] | None = None,
                              span: Span | None = None) -> Node:

@@ -3,8 +3,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from ...graph.functions import apply, constant_table, lookup, select, sigmoid, stop_gradient
 from ...graph.ir import Node
 from ...graph.ops.compact import Compact
@@ -57,10 +55,8 @@ class OutlineFragments(Fragments):
     def _owners(self, edges: Compact, view: Node) -> Node:
         """For each listed edge, four times the face (over all views) that it shows, plus the corner that is not on it."""
         t = self.topology
-        count, first = len(t.edges), t.edge_faces[:, 0]
-        far = np.array((2, 0, 1))[(t.face_edges[first] == np.arange(count)[:, None]).argmax(axis=1)]
-        edge = select(edges.entries >= 0, edges.entries - view * count, 0)
-        return lookup(constant_table(first * 4 + far), edge) + view * (4 * len(t.faces))
+        edge = select(edges.entries >= 0, edges.entries - view * len(t.edges), 0)
+        return lookup(constant_table(t.edge_faces[:, 0] * 4 + t.far_corners), edge) + view * (4 * len(t.faces))
 
     def silhouette(self) -> Node:
         return self.layers[0].probability
