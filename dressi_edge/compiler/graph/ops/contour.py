@@ -116,7 +116,8 @@ float d = length(across);
 ivec2 beyond = ivec2(floor(foot + across / max(d, 1e-10) + 0.5 * vec2(cell_size)));
 beyond = ivec2(center - 0.5 * vec2(cell_size)) + clamp(beyond, ivec2(0), cell_size - 1);
 ivec2 fronts_ = ivec2({front}(pixel), {front}(beyond));
-bool seen_ = fronts_.x >= 0 && fronts_.y >= 0 && d <= float({radius}) && abs(q.x) <= 0.5 * float({cell_w}) && abs(q.y) <= 0.5 * float({cell_h});
+bool seen_ = fronts_.x >= 0 && fronts_.y >= 0 && d <= float({radius});
+seen_ = seen_ && abs(q.x) <= 0.5 * float({cell_w}) && abs(q.y) <= 0.5 * float({cell_h});
 vec2 depths_ = vec2(0.0);
 for (int k_ = 0; k_ < (seen_ ? 2 : 0); ++k_) {  // no turn for most: machines that cannot branch around a body can leave a loop
     int front_ = k_ == 0 ? fronts_.x : fronts_.y;
