@@ -1,7 +1,7 @@
 """glslang and SPIRV-Tools: where they are on this machine, or the one command that brings them.
 
 Looked for on PATH; where wheels for this Python put them (`pip install 'dressi_edge[glslang]'`); in the Vulkan SDK; and where Homebrew
-puts them. `glslang` is what newer releases call glslangValidator.
+puts them. `glslang` is what newer releases call glslangValidator. `glslc` of shaderc is glslang, too, and compiles many shaders at once.
 """
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import functools
 import os
 import platform
 import shutil
+import subprocess
 import sys
 import sysconfig
 
 from ...cache.errors import DressiError
 
-NAMES = {"glslangValidator": ("glslangValidator", "glslang"), "spirv-val": ("spirv-val",)}
+NAMES = {"glslangValidator": ("glslangValidator", "glslang"), "spirv-val": ("spirv-val",), "glslc": ("glslc",)}
 COMMANDS = {"debian": "apt-get install glslang-tools spirv-tools", "fedora": "dnf install glslang spirv-tools",
             "arch": "pacman -S glslang spirv-tools", "suse": "zypper install glslang-devel spirv-tools",
             "alpine": "apk add glslang spirv-tools", "darwin": "brew install glslang spirv-tools",
@@ -42,6 +43,20 @@ def find(name: str) -> str:
     if found is None:
         raise ToolError(f"{name} not found; the compiler needs glslang and SPIRV-Tools: {command()}")
     return found
+
+
+def find_glslc() -> str | None:
+    """The path of glslc, where there is one that starts; compiling takes a third of the time with it."""
+    found = _found("glslc", os.environ.get("PATH", ""), os.environ.get("VULKAN_SDK", ""))
+    return found if found and _starts(found) else None
+
+
+@functools.lru_cache(maxsize=64)
+def _starts(path: str) -> bool:
+    try:
+        return subprocess.run([path, "--version"], capture_output=True, timeout=60).returncode == 0
+    except (OSError, subprocess.SubprocessError):
+        return False
 
 
 @functools.lru_cache(maxsize=64)

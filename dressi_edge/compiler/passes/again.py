@@ -105,8 +105,9 @@ def _split(root: Node) -> Node:
         if n in kept or not (n.op.chooses and n.inputs[0] in known and not known[n.inputs[0]].any()):
             return new
         by, there, elsewhere = n.inputs
-        tiled = [m for m in order if m in _work(by) and _tiles(m) is not None]
-        if not tiled or _cost(_work(there, _work(by) | _work(elsewhere))) < APART_COST:
+        beside = _work(by)
+        tiled = [m for m in order if m in beside and _tiles(m) is not None]
+        if not tiled or _cost(_work(there, beside | _work(elsewhere))) < APART_COST:
             return new
         tiles, how = _tiles(tiled[0]), {"tile": tiled[0].attrs["tile"]}
         inside = apply("inside_tiles", apply("broadcast", as_node(1), extent=n.extent), tiles, **how)
