@@ -60,6 +60,16 @@ def test_what_is_packed_for_the_floor_fits_every_profile(name):
     assert [line for line in out if not line.startswith("maxSamplerAllocationCount")] == []
 
 
+def test_tables_are_as_wide_as_drivers_of_the_same_family_pad_rows_to():
+    """Where no report says so, what Mesa does for the hardware is assumed, and marked so."""
+    width = {name: Profile.load(name).table_width for name in profile_names()}
+    for name, like in (("adreno_740", "adreno_740_turnip"), ("mali_g76", "mali_g76_panvk"), ("apple_m1_moltenvk", "apple_m1_honeykrisp"),
+                       ("rtx2080", "nvk_turing")):
+        assert width[name] == width[like], name
+    assert width["radeon"] == width["navi21"] == 16  # Navi 10, as Navi 21
+    assert all(Profile.load(name).sources["table_width"]["status"] == "assumed" for name in ("adreno_740", "mali_g76", "radeon"))
+
+
 def test_facts_that_the_project_rests_on():
     inputs = {name: Profile.load(name).limit("maxPerStageDescriptorInputAttachments") for name in NAMES}
     assert {n: inputs[n] for n in ("vulkan_min", "limit4", "mali_g76", "raspberry_pi_4", "android_baseline_2022")} == {

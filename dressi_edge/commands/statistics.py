@@ -19,8 +19,8 @@ from ..runtime.pipelines import Compute, Pipelines
 # Ours -> the drivers' (RADV, Turnip, Honeykrisp, NVK, PanVK, V3DV, PowerVR), those of one driver added up.
 NAMES = {
     "registers": ("VGPRs", "Registers used", "GPRs", "Number of GPRs"),
-    "spills": ("Spilled VGPRs", "Spilled SGPRs", "STP Count", "Spills", "Spills to memory"),
-    "waves": ("Subgroups per SIMD", "Max Waves Per Core", "Threads", "Max warps/SM"),
+    "spills": ("Spilled VGPRs", "Spilled SGPRs", "STP Count", "Spills", "Spills to memory", "TMU Spills"),
+    "waves": ("Subgroups per SIMD", "Max Waves Per Core", "Threads", "Max warps/SM", "Thread Count"),
     "instructions": ("Instructions", "Instruction Count", "Instruction count"),
     "cycles": ("Inverse Throughput", "Cycles", "Static cycle count"),
 }

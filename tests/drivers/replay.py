@@ -1,8 +1,10 @@
 """Runs bundles on the driver at hand; started by `session.py` in a process of its own, with the driver's libraries.
 
-    python replay.py ROOT FOLDER..    every NAME.dressi with NAME.json of these folders
+    python replay.py ROOT [--shaders] FOLDER..    every NAME.dressi with NAME.json of these folders
 
-ROOT: the checkout. Imports the runtime, the standard library and numpy alone, so that any Python will do. Out: on standard output a line of
+ROOT: the checkout. --shaders: nothing is loaded and stepped, every pipeline of a bundle is made once, and what its compiler tells is asked;
+for drivers on an emulated processor, where a step takes minutes. Imports the runtime, the standard library and numpy alone, so that any
+Python will do. Out: on standard output a line of
 JSON for the device and one for each bundle, as soon as it is done:
 
     {"device": .., "driver": .., "subpixel": .., "profile": ..}
@@ -31,34 +33,43 @@ def deviation(np, found, wanted, tolerance):
 
 def main():
     root, *folders = sys.argv[1:]
+    shaders = folders[:1] == ["--shaders"]
+    folders = folders[shaders:]
     sys.path.insert(0, root)
     import numpy as np
 
     from dressi_edge import runtime
+    from dressi_edge.cache import bundle
     from dressi_edge.cache.summary import image_bytes
-    from dressi_edge.commands.statistics import NAMES, compiled
+    from dressi_edge.commands.statistics import NAMES, compiled, image_memory
     from dressi_edge.runtime.device import Device
+
+    def stepped(device, path, told):
+        record = json.loads(path.with_suffix(".json").read_text())
+        with runtime.load(path, device) as session:
+            for number, step in enumerate(record["steps"]):
+                if step["do"] == "set":
+                    session.set(step["name"], array(np, step["array"]))
+                elif step["do"] == "step":
+                    session.step(step["count"], step["name"])
+                else:
+                    worst = deviation(np, session.get(step["name"]), array(np, step["array"]), record["tolerance"])
+                    if worst > told["deviation"]:
+                        told["deviation"], told["where"] = worst, f"step {number}, {step['name']}"
+            taken = session.bundle
+            images = taken.description["images"]
+            told["bytes"] = [sum(image_bytes(image) * image["slots"] for image in images), session.report()["image_bytes"]]
+        return taken
 
     def replay(device, path):
         told = {"name": path.stem, "error": None, "messages": [], "deviation": 0.0, "where": "", "bytes": [0, 0], "statistics": [],
                 "seconds": 0.0}
         start = time.perf_counter()
         try:
-            record = json.loads(path.with_suffix(".json").read_text())
-            with runtime.load(path, device) as session:
-                for number, step in enumerate(record["steps"]):
-                    if step["do"] == "set":
-                        session.set(step["name"], array(np, step["array"]))
-                    elif step["do"] == "step":
-                        session.step(step["count"], step["name"])
-                    else:
-                        worst = deviation(np, session.get(step["name"]), array(np, step["array"]), record["tolerance"])
-                        if worst > told["deviation"]:
-                            told["deviation"], told["where"] = worst, f"step {number}, {step['name']}"
-                taken = session.bundle
-                images = taken.description["images"]
-                told["bytes"] = [sum(image_bytes(image) * image["slots"] for image in images), session.report()["image_bytes"]]
-            for one in compiled(device, taken) if device.statistics else ():
+            taken = bundle.read(path).variants[0] if shaders else stepped(device, path, told)
+            if shaders:
+                told["bytes"] = list(image_memory(device, taken))
+            for one in compiled(device, taken) if device.statistics or shaders else ():
                 numbers = {name: x for name in NAMES if (x := one.told(name)) is not None}
                 told["statistics"].append([str(one.place), one.place.pixels if one.place else 0, numbers, round(one.ms, 1)])
         except Exception as error:  # noqa: BLE001  (what went wrong is the result)

@@ -23,10 +23,12 @@ class Outcome:
     faults: tuple[str, ...]
 
 
-def run(name: str, packages: Path, folders: Sequence[Path]) -> Outcome:
-    """Every bundle of these folders on this driver, under the validation layer. packages: the folder that `fetch` keeps."""
+def run(name: str, packages: Path, folders: Sequence[Path], shaders: bool = False) -> Outcome:
+    """Every bundle of these folders on this driver, under the validation layer. packages: the folder that `fetch` keeps. shaders: pipelines
+    are made, and nothing else."""
     driver = catalog.DRIVERS[name]
-    words, environment = catalog.command(driver, packages, str(Path(__file__).with_name("replay.py")), str(ROOT), *map(str, folders))
+    words, environment = catalog.command(driver, packages, str(Path(__file__).with_name("replay.py")), str(ROOT),
+                                         *["--shaders"] * shaders, *map(str, folders))
     wanted = [path.stem for folder in folders for path in sorted(folder.glob("*.dressi"))]
     try:
         done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=SECONDS[driver.group], cwd=ROOT)

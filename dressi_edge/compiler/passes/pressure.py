@@ -25,39 +25,50 @@ def statements(nodes: Sequence[Node]) -> list[list[Node]]:
     """These nodes in the order in which the shader computes them: all that needs no loop, then the loops that need nothing else, as one
     entry, and so on."""
     depth: dict[Node, int] = {}
+    levels: dict[int, tuple[list[Node], list[Node]]] = {}  # loops, and all else
     for n in nodes:
-        depth[n] = max((depth[x] for x in n.inputs if x in depth), default=0) + (n.op.loop is not None)
+        depth[n] = max([depth[x] for x in n.inputs if x in depth], default=0) + (n.op.loop is not None)
+        levels.setdefault(depth[n], ([], []))[n.op.loop is None].append(n)
     result: list[list[Node]] = []
-    for level in range(max(depth.values(), default=-1) + 1):
-        at = [n for n in nodes if depth[n] == level]
-        loops = [n for n in at if n.op.loop is not None]
-        result += [loops] * bool(loops) + [[n] for n in at if n.op.loop is None]
+    for level in sorted(levels):
+        loops, rest = levels[level]
+        result += [loops] * bool(loops) + [[n] for n in rest]
     return result
 
 
-def peak(nodes: Sequence[Node], outputs: Iterable[Node]) -> Peak:
+def reads(n: Node) -> list[tuple[Node, bool]]:
+    """What it reads of images, and whether that is a number of this texel wherever it comes from."""
+    return [(x, mode == OWN and x.extent != UNIT) for x, mode in edges(n)]
+
+
+def peak(nodes: Sequence[Node], outputs: Iterable[Node], known: dict[Node, list[tuple[Node, bool]]] | None = None) -> Peak:
     """Counted are values computed before a place and read after it, what that place reads and computes itself, and results, which are
-    written at the end; what is the same at every texel is not."""
-    order = statements(nodes)
-    first: dict[Node, int] = {}
-    uses: dict[Node, list[int]] = {}
+    written at the end; what is the same at every texel is not. known: `reads` of nodes, which grows, for who asks often."""
+    order, known = statements(nodes), {} if known is None else known
+    made: dict[Node, int] = {}  # value -> where it is computed, or first read; where it is read first and last
+    begin: dict[Node, int] = {}
+    end: dict[Node, int] = {}
     for k, together in enumerate(order):
         for n in together:
-            first.setdefault(n, k)
-            for x, mode in edges(n):
-                if mode == OWN and x.extent != UNIT or x in first:
-                    first.setdefault(x, k)
-                    uses.setdefault(x, []).append(k)
+            made.setdefault(n, k)
+            if n not in known:
+                known[n] = reads(n)
+            for x, own in known[n]:
+                if own or x in made:
+                    made.setdefault(x, k)
+                    begin.setdefault(x, k)
+                    end[x] = k
     for n in outputs:
-        uses.setdefault(n, []).append(len(order))
+        begin.setdefault(n, len(order))
+        end[n] = len(order)
     change = [0] * (len(order) + 2)
-    for n, k in first.items():
+    for n, k in made.items():
         change[k] += n.channels
-        change[max(uses.get(n, [k])) + 1] -= n.channels
+        change[end.get(n, k) + 1] -= n.channels
     most = now = at = 0
     for k, x in enumerate(change):
         now += x
         if now > most:
             most, at = now, k
     inside = set(nodes)
-    return Peak(most, tuple(n for n, k in first.items() if n in inside and k < at < min(uses.get(n, [0]))))
+    return Peak(most, tuple(n for n, k in made.items() if n in inside and k < at < begin.get(n, 0)))

@@ -7,6 +7,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from ...cache.errors import PackError
 from ...cache.profile import Profile
@@ -17,15 +18,29 @@ from .substage import Substage, edges, excess, excess_of, is_alone, substage
 
 SPLIT_COST = 50  # work without loops that each part of a split substage may do again
 HARD = 3  # steps of a sort in one shader; of eight LLVM makes nothing in ten minutes
+TRIED = 32  # values, before one is stored to relieve a shader; the search is for the best of them
 PASS_COST = 100_000  # work over all texels that is worth a pass of its own
 
 
 def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Substage]:
-    """One substage, or several that each keep the limits: outputs in order, each with what it needs; later parts read the outputs of
-    earlier ones. What several would compute and costs more than a pass is stored before them."""
+    """One substage, or several that each keep the limits. Of two ways to keep a bound on registers the one that computes less."""
     whole = substage(nodes, outputs)
     if not excess(whole, profile) and not crowded(nodes, outputs, profile) and not overloaded(nodes):
         return [whole]
+    cut = _cut(nodes, outputs, profile)
+    if profile.max_live is None or not any(crowded(p.nodes, p.outputs, profile) for p in (whole, *cut)):
+        return cut
+    return min(cut, _relieved(nodes, outputs, profile), key=lambda parts: (
+        any(crowded(p.nodes, p.outputs, profile) for p in parts), sum(_work(p.nodes) for p in parts)))
+
+
+def _work(nodes: Iterable[Node]) -> int:
+    return sum(n.op.cost for n in nodes)
+
+
+def _cut(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Substage]:
+    """Outputs in order, each with what it needs; later parts read the outputs of earlier ones. What several would compute and costs more
+    than a pass is stored before them."""
     before: list[Node] = []
     while True:
         parts = _parts(nodes, list(dict.fromkeys([*before, *outputs])), profile)
@@ -38,9 +53,10 @@ def split(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Subs
         before += [n for n in nodes if n in again and n not in inner]
 
 
-def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile) -> bool:
-    """Whether a substage holds more numbers at once than the profile's compiler has registers for. No limit: it only costs."""
-    return profile.max_live is not None and not is_alone(nodes[0]) and peak(nodes, outputs).count > profile.max_live
+def crowded(nodes: Sequence[Node], outputs: Sequence[Node], profile: Profile, known: dict | None = None) -> bool:
+    """Whether a substage holds more numbers at once than the profile's compiler has registers for. No limit: it only costs. known: as
+    `peak` has it."""
+    return profile.max_live is not None and not is_alone(nodes[0]) and peak(nodes, outputs, known).count > profile.max_live
 
 
 def overloaded(nodes: Sequence[Node]) -> bool:
@@ -48,16 +64,37 @@ def overloaded(nodes: Sequence[Node]) -> bool:
     return sum(n.op.alone for n in nodes) > HARD
 
 
-def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile) -> list[Substage]:
-    """Substages that give these in order. A single one that is too wide is cut inside at the widest node that fits."""
+def _relieved(nodes: list[Node], outputs: list[Node], profile: Profile) -> list[Substage]:
+    """Cut as if registers had no end; and before each part that holds too much, parts that store some of what it computes on its way.
+    What it needs for these alone it then neither computes nor holds."""
+    cones, result = _Cones(nodes, profile), []
+    for part in _cut(nodes, outputs, replace(profile, max_live=None)):
+        before, stored = list(cones.stored), []
+        pending = [n for n in part.outputs if n not in cones.stored]
+        while pending and not cones.fit(pending) and (n := cones.middle(pending)) is not None:
+            stored.append(n)
+            cones.store([n])
+        for some, after in ((stored, before), (pending, [*before, *stored])):
+            more = _parts(nodes, some, profile, after)
+            cones.store([n for p in more for n in p.outputs])
+            result += more
+    return result
+
+
+def _parts(nodes: list[Node], outputs: Iterable[Node], profile: Profile, stored: Sequence[Node] = ()) -> list[Substage]:
+    """Substages that give these in order, and read what is stored before. A single one that is too wide is cut inside at the widest node
+    that fits."""
     result: list[Substage] = []
     cones, pending = _Cones(nodes, profile), list(outputs)
+    cones.store(stored)
     while pending:
         taken: list[Node] = []
         while pending and cones.fit([*taken, pending[0]]) and not (taken and overloaded(cones.nodes([*taken, pending[0]]))):
             taken.append(pending.pop(0))
         if not taken and cones.keeps([pending[0]]):  # crowded, and no output less to give
             taken = cones.relief(pending[0])
+            if taken[0] is pending[0] and (n := cones.middle(taken)) is not None:
+                taken = [n]
             given = set(taken)  # which tells nodes apart by what they are; a list would ask whether they are equal
             pending = [n for n in pending if n not in given]
         if taken:
@@ -87,6 +124,7 @@ class _Cones:
         self.stored: set[Node] = set()
         self.stale = list(range(len(nodes)))  # a heap of the nodes whose reads may have changed
         self.output: Node | None = None  # that is being cut
+        self.own: dict[Node, list[tuple[Node, bool]]] = {}  # what `peak` asks again and again
         self.live: dict[Node, int] = {}  # node of its cone -> users there
         self.widest: list[tuple[int, int]] = []  # a heap of (-reads, number) of those that fit; old entries stay in it
 
@@ -135,18 +173,51 @@ class _Cones:
 
     def fit(self, outputs: Sequence[Node]) -> bool:
         """Whether a substage may give these."""
-        return self.keeps(outputs) and not crowded(self.nodes(outputs), outputs, self.profile)
+        return self.keeps(outputs) and not crowded(self.nodes(outputs), outputs, self.profile, self.own)
 
     def relief(self, output: Node) -> list[Node]:
         """What to store before an output that is crowded alone: values that its shader would hold where it holds most, wide ones first, as
         many as one substage may give, until few enough are left. The output itself where there are none: to compute all of it twice
         costs more than what its compiler spills."""
-        most = peak(self.nodes([output]), [output])
+        most = peak(self.nodes([output]), [output], self.own)
         taken: list[Node] = []
         for n in sorted(most.across, key=lambda n: (-n.channels, -self.at[n])):
             if n is not output and sum(x.channels for x in taken) < most.count - self.profile.max_live and self.fit([*taken, n]):
                 taken.append(n)
         return taken or [output]
+
+    def middle(self, outputs: Sequence[Node]) -> Node | None:
+        """The value that is best stored before outputs that are crowded: the rest then holds least, and computes least where that is the
+        same. None where no value helps. Tried are those on which most work is spent that is of use to nothing else."""
+        nodes, given = self.nodes(outputs), set(outputs)
+        alone = self._alone(nodes, outputs)
+        best, found = (peak(nodes, outputs, self.own).count, 0), None
+        for n in sorted((n for n in nodes if n not in given), key=lambda n: -alone[n])[:TRIED]:
+            self.stored.add(n)
+            rest = self.nodes(outputs)
+            self.stored.discard(n)
+            now = max(peak(rest, outputs, self.own).count, self.profile.max_live), _work(rest) + _work(self.nodes([n]))
+            if (now[0] < best[0] or found is not None and now < best) and self.fit([n]):
+                best, found = now, n
+        return found
+
+    def _alone(self, nodes: Sequence[Node], outputs: Sequence[Node]) -> dict[Node, int]:
+        """Node -> cost of what is computed for it alone, itself included: of all that it dominates, seen from the outputs."""
+        above: dict[Node, Node | None] = dict.fromkeys(outputs)  # the nearest node through which all of its uses go
+        depth: dict[Node | None, int] = {None: 0}
+        cost = {n: n.op.cost for n in nodes}
+        for n in reversed(nodes):
+            depth[n] = depth[above[n]] + 1
+            for x in self.inputs[n]:
+                if x in cost:
+                    a, b = above.setdefault(x, n), n
+                    while a is not b:
+                        a, b = (a, above[b]) if depth[a] < depth[b] else (above[a], b)
+                    above[x] = a
+        for n in nodes:
+            if above[n] is not None:
+                cost[above[n]] += cost[n]
+        return cost
 
     def nodes(self, outputs: Sequence[Node]) -> list[Node]:
         """What a substage that gives these computes, in order."""
