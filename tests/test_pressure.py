@@ -106,8 +106,7 @@ def test_a_bound_makes_more_substages_and_the_same_numbers(gpu, count, outputs, 
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("name, device, times", [("lambert", "apple_m1_honeykrisp", 1.25), ("colors3", "apple_m1_honeykrisp", 1.3),
-                                                 ("contours", "mali_g610", 1.15)])
+@pytest.mark.parametrize("name, device, times", [("lambert", "apple_m1_honeykrisp", 1.25), ("colors3", "apple_m1_honeykrisp", 1.3)])
 def test_of_a_whole_problem_every_shader_keeps_the_bound_for_a_little_more_work(name, device, times, monkeypatch):
     """Cut by outputs alone, as where registers are the only reason to cut it was before, Lambert's step for M1 is 1.9 times the work."""
     made = whole.CASES[name]()
