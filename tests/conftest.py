@@ -1,5 +1,6 @@
 """What several test modules share."""
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -34,3 +35,9 @@ def patience(request, monkeypatch):
     """On a slow machine commands say every two seconds what they are at; what else they say is compared without that."""
     if "test_run" not in request.module.__name__:
         monkeypatch.setattr("dressi_edge.commands.progress.SILENCE", 600.0)
+
+
+def pytest_collection_finish():
+    """What is imported by now stays: the garbage collector need not look through it again at every test."""
+    gc.collect()
+    gc.freeze()

@@ -133,6 +133,10 @@ ROWS = [
     ("value_constant", "states", [("images[1].data", 5)], "values[4]: its image 1 is a constant"),
     ("value_slots", "states", [("values[2].role", "input"), ("plans[1].updates", [0, 1])], "images[4].slots is 2; only the image of a"),
     ("value_initial", "states", [("values[0].initial", 2)], "values[0].initial: blobs[2] has 4 bytes; 32 are needed"),
+    ("value_initial_texel", "states", [("values[0].initial", b"abc")], "values[0].initial: 3 bytes; a texel of its image has 4"),
+    ("value_initial_empty", "filled", [("values[0].initial", b"")], "values[0].initial: 0 bytes; a texel of its image has 16"),
+    ("value_initial_long", "filled", [("values[1].initial", bytes(16))], "values[1].initial: 16 bytes; a texel of its image has 4"),
+    ("value_output_initial_texel", "states", [("values[6].initial", bytes(4))], "values[6].initial: an output has none"),
     ("value_output_initial", "states", [("values[6].initial", 1)], "values[6].initial: an output has none"),
     # plans
     ("plan_name", "states", [("plans[3].name", "rest")], "plans[3].name 'rest' is taken"),
@@ -221,6 +225,8 @@ ROWS = [
     ("variants_fewer_plans", "variants", [("variants[1].plans[4]", DROP)], "variants[1].plans is a list of 4; variants[0] has 5"),
     ("variants_plan_name", "variants", [("variants[1].plans[0].name", "p")], "variants[1].plans[0].name is 'p'; that of variants[0]"),
     # copies
+    ("variants_initial_texel", "variants", [("variants[1].values[1].initial", bytes(4))],
+     "variants[1].values[1].initial is b'\\x00\\x00\\x00\\x00'; that of"),
     ("copy_initial", "copies", [("values[7].initial", 0)], "values[7].initial: a copy has none"),
     ("copy_set", "copies", [("values[7].role", "state")], "values[7]: its image lacks usage 3"),
     ("copy_unfilled", "copies", [("plans[4].needs", [0])], "plans[4] has to do with copy 'fit.list.texels', and needs no plan that"),
@@ -306,7 +312,8 @@ def files() -> dict[str, tuple[bytes, str]]:
     def shift(at, x):
         return good[:at] + x + good[at + len(x):]
 
-    several, half, copies, compute = ((FOLDER / f"{name}.dressi").read_bytes() for name in ("variants", "half", "copies", "counted"))
+    several, half, copies, compute, filled = ((FOLDER / f"{name}.dressi").read_bytes()
+                                              for name in ("variants", "half", "copies", "counted", "filled"))
     computing, more = vector("counted")
     both = bundle.combine([({**vector("ops")[0], "computes": [], "profile": {"name": f"p{k}", "digest": "d"}}, blobs) for k in range(2)])
     without = bundle.combine([(d, blobs), (d, blobs)])
@@ -318,7 +325,10 @@ def files() -> dict[str, tuple[bytes, str]]:
         "empty": (b"", "0 bytes; a bundle has at least 56"),
         "magic": (shift(0, b"PNG"), "not a bundle: the file does not begin with DRESSI"),
         "line_ends": (shift(6, b"\n"), "not a bundle"),
-        "version": (shift(8, b"\5"), "format version 5; this reader knows 1 to 4"),
+        "version": (shift(8, b"\6"), "format version 6; this reader knows 1 to 5"),
+        "version_without_filled": (bundle.dumps({**d, "computes": []}, blobs, 5), "version 5; what the file holds is written as version 1"),
+        "version_with_filled": (filled[:8] + b"\4" + filled[9:], "format version 4; what the file holds is written as version 5"),
+        "version_of_filled_lacks_computes": (shift(8, b"\5"), "description lacks computes"),
         "version_without_compute": (shift(8, b"\4"), "description lacks computes"),
         "version_with_compute": (compute[:8] + b"\3" + compute[9:], "description has the unknown key 'computes'"),
         "version_of_nothing_computed": (bundle.dumps({**d, "computes": []}, blobs, 4), "version 4; what the file holds is written as"),

@@ -200,6 +200,16 @@ def shared():
     return p, [step for _ in range(2) for step in (("set", "index", rng.integers(-2, bins + 2, n).astype(np.int32)), *seen)]
 
 
+def filled():
+    """Large images that start as one texel: a state of floats and an input of integers."""
+    p, screen, numbers = Program(), image("vec3", 96, 48), image("int", 150, 120)
+    a, n = p.state("a", screen, np.broadcast_to([0.25, -2.0, 1e-3], (48, 96, 3))), p.input("n", numbers, -7)
+    p.plan("halve", {"a": a * 0.5}, {"sum": (total(a), Layout("unit", "vec3"))})
+    p.plan("look", {}, {"mean": (mean(a), Layout("unit", "vec3")), "count": (total(n), Layout("unit", "int"))})
+    seen = [("get", "mean"), ("get", "count")]
+    return p, [*seen, ("step", "halve", 2), ("get", "sum"), *seen]
+
+
 def _count(d: dict) -> None:
     """The dispatch over the image goes as far as the one before it says."""
     first, second = d["plans"][0]["stages"]
@@ -210,9 +220,9 @@ def _count(d: dict) -> None:
 # what Vulkan lets devices differ by: sin and cos by 2^-11, weights of a filter by 2^-8
 TOLERANCE = {"ops": 2e-3, "reduction": 1e-5, "states": 2e-3, "silhouette": 0, "lists": 1e-4,
              "texture": 8e-3, "copies": 1e-4, "variants": 2e-3, "subpasses": 1e-6, "half": 2e-3, "dispatched": 8e-3, "counted": 1e-5,
-             "shared": 0}
+             "shared": 0, "filled": 1e-5}
 VECTORS = {f.__name__: f for f in (ops, reduction, states, silhouette, lists, texture, copies, variants, subpasses, half, dispatched,
-                                   counted, shared)}
+                                   counted, shared, filled)}
 PROFILES = {"variants": ("limit8", "vulkan_min"), "subpasses": ("vulkan_min",)}  # of the others PROFILE
 OPTIONS = {"copies": {"sparse_texels": 1}, "half": {"storage": "half"},  # 1: its texture is too small to be listed otherwise
            "dispatched": {"compute": "all"}, "counted": {"compute": "pixel"}, "shared": {"compute": "ops"}}

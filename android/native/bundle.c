@@ -72,6 +72,11 @@ void check_variants(Reader *r, const Node *root) {
 static uint32_t version_of(const Bundle *bundle) {
     for (uint32_t n = 0; n < bundle->variant_count; n++) {
         const Variant *v = bundle->variants + n;
+        for (uint32_t k = 0; k < v->value_count; k++)
+            if (v->values[k].filled) return 5;
+    }
+    for (uint32_t n = 0; n < bundle->variant_count; n++) {
+        const Variant *v = bundle->variants + n;
         if (v->compute_count) return 4;
     }
     for (uint32_t n = 0; n < bundle->variant_count; n++) {
@@ -146,8 +151,8 @@ static uint64_t check_head(Call *call, const uint8_t *data, uint64_t size) {
     uint32_t version = little32(data + 8), reserved = little32(data + 12);
     uint64_t count = little64(data + 16);
     if (memcmp(data, "DRESSI\r\n", 8)) fail(call, DRESSI_BUNDLE, "not a bundle: the file does not begin with DRESSI");
-    if (version < 1 || version > 4)
-        fail(call, DRESSI_BUNDLE, "format version %u; this reader knows 1 to 4; compile the bundle again or update dressi_edge", version);
+    if (version < 1 || version > 5)
+        fail(call, DRESSI_BUNDLE, "format version %u; this reader knows 1 to 5; compile the bundle again or update dressi_edge", version);
     if (reserved) fail(call, DRESSI_BUNDLE, "reserved field is %u; 0 is allowed", reserved);
     if (count > size - HEAD)
         fail(call, DRESSI_BUNDLE, "truncated: the description has %llu bytes, the file holds %llu of them", (ull)count, (ull)(size - HEAD));
@@ -158,7 +163,7 @@ static uint64_t check_head(Call *call, const uint8_t *data, uint64_t size) {
     return count;
 }
 
-/* A description has the key of what is dispatched in version 4, and in no other. */
+/* A description has the key of what is dispatched from version 4 on, and in none before. */
 static void check_computes(Reader *r, const Node *root, uint32_t version) {
     if (root->kind != MAP || (version >= 4) == (find(root, "computes") != NULL)) return;
     refuse_plainly(r, "description %s", version >= 4 ? "lacks computes" : "has the unknown key 'computes'");

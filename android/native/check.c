@@ -292,8 +292,16 @@ static void check_value(Reader *r, const Node *node, Value *value) {
     if ((image->usage & usage) != usage) refuse(r, ": its image lacks usage %u", usage);
     if (image->data >= 0) refuse(r, ": its image %u is a constant", value->image);
     value->initial = -1;
-    if (find(node, "initial")->kind == NIL) return;
-    value->initial = number(r, node, "initial", 0, (int64_t)r->bundle->blob_count - 1);
+    const Node *start = find(node, "initial");
+    if (start->kind == NIL) return;
+    if (start->kind == BINARY) {
+        uint32_t texel = texel_bytes(image->format);
+        if (start->count != texel) refuse(r, ".initial: %u bytes; a texel of its image has %u", start->count, texel);
+        memcpy(value->texel, start->is.bytes, texel);
+        value->filled = true;
+    } else {
+        value->initial = number(r, node, "initial", 0, (int64_t)r->bundle->blob_count - 1);
+    }
     if (value->role == OUTPUT || value->role == COPY) refuse(r, ".initial: %s has none", value->role == OUTPUT ? "an output" : "a copy");
 }
 

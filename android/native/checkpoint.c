@@ -182,7 +182,7 @@ static bool take_apart(Session *s, Call *call, Restore *r, const Node *d, uint64
         if ((uint64_t)row[1].is.integer != image_bytes(s->v->images + value->image)) return false;
         r->inputs[k] = value->role == INPUT;
         r->values[r->count] = k;
-        r->copies[r->count++] = (Copy){value->image, r->data + at};
+        r->copies[r->count++] = (Copy){value->image, r->data + at, false};
         at += (uint64_t)row[1].is.integer;
     }
     for (uint32_t n = 0, k = 0; k < s->v->value_count; k++) {

@@ -121,6 +121,8 @@ typedef struct Value {
     uint32_t image, channels, width, height, count, columns;
     bool is_int;
     int initial; /* a blob, or -1 */
+    bool filled; /* starts as one texel */
+    uint8_t texel[16];
 } Value;
 typedef struct Draw {
     uint32_t pipeline, vertices, cell_count;

@@ -76,7 +76,7 @@ void prepare_plans(Session *s, Call *call) {
     }
     for (uint32_t k = 0; k < v->value_count; k++) {
         uint64_t bytes = image_bytes(v->images + v->values[k].image);
-        s->given[k] = v->values[k].role != INPUT || v->values[k].initial >= 0;
+        s->given[k] = v->values[k].role != INPUT || v->values[k].initial >= 0 || v->values[k].filled;
         if (v->values[k].role != COPY && bytes > s->largest) s->largest = bytes;
     }
 }

@@ -64,15 +64,20 @@ static void upload_data(Session *s, Call *call) {
     Copy *copies = spare(s, call, v->image_count, sizeof *copies);
     uint32_t count = 0;
     uint64_t bytes = 0;
-    for (uint32_t k = 0; k <= v->image_count; k++) {
-        int blob = k == v->image_count ? -1 : v->images[k].value >= 0 ? v->values[v->images[k].value].initial : v->images[k].data;
-        uint64_t more = blob >= 0 ? s->bundle.blobs[blob].size : 0;
-        if (count && (k == v->image_count || (blob >= 0 && bytes + more > BATCH))) {
+    for (uint32_t k = 0; k < v->image_count; k++) {
+        const Image *image = v->images + k;
+        const Value *value = image->value >= 0 ? v->values + image->value : NULL;
+        int blob = value ? value->initial : image->data;
+        bool filled = value && value->filled;
+        if (blob < 0 && !filled) continue;
+        if (count && bytes + image_bytes(image) > BATCH) {
             upload(s, call, copies, count);
             count = 0, bytes = 0;
         }
-        if (blob >= 0) copies[count++] = (Copy){k, blob_data(&s->bundle, (uint32_t)blob)}, bytes += more;
+        copies[count++] = (Copy){k, filled ? value->texel : blob_data(&s->bundle, (uint32_t)blob), filled};
+        bytes += image_bytes(image);
     }
+    upload(s, call, copies, count);
 }
 
 static void open_session(Session *s, Call *call, const dressi_options *options) {

@@ -89,7 +89,8 @@ dressi_code serial(Session *s, void (*work)(Session *s, Call *call, void *argume
 void *spare(Session *s, Call *call, uint64_t count, size_t size); /* until the call ends */
 
 /* work.c: the queue, memory and transfers */
-typedef struct Copy { uint32_t image; const uint8_t *data; } Copy; /* to its current slot */
+/* To its current slot: all its texels, or one that they are like. */
+typedef struct Copy { uint32_t image; const uint8_t *data; bool texel; } Copy;
 
 void start(Session *s, Call *call);                          /* begins the buffer for transfers */
 void send(Session *s, Call *call, const VkCommandBuffer *commands, uint32_t count); /* submits; `settle` waits */

@@ -139,7 +139,9 @@ void upload(Session *s, Call *call, const Copy *copies, uint32_t count) {
     reserve(s, call, total);
     for (uint32_t k = 0; k < count; k++) {
         const Image *image = s->v->images + images[k];
-        memcpy(s->staging.view + place(&at, image), copies[k].data, image_bytes(image));
+        uint8_t *to = s->staging.view + place(&at, image);
+        uint64_t size = copies[k].texel ? texel_bytes(image->format) : image_bytes(image);
+        for (uint64_t n = 0; n < image_bytes(image); n += size) memcpy(to + n, copies[k].data, size);
     }
     start(s, call);
     copy_in(s, images, count);

@@ -21,8 +21,9 @@ from .files import read_regular, replace_file
 from .shader_check import check_shaders
 
 MAGIC = b"DRESSI\r\n"
-# format versions: of a file with one variant, with several, with images of 16 bits or copies of states, with compute
-VERSION, SEVERAL, MORE, COMPUTE = 1, 2, 3, 4
+# format versions: of a file with one variant, with several, with images of 16 bits or copies of states, with compute, with
+# images that start as one texel
+VERSION, SEVERAL, MORE, COMPUTE, FILLED = 1, 2, 3, 4, 5
 HEADER = struct.Struct("<8sIIQ32s")  # magic, version, reserved 0, description bytes, their SHA-256
 ALIGN = 64
 MAX_FILE_BYTES = 1 << 32
@@ -77,12 +78,14 @@ def combine(made: Sequence[tuple[dict, list[bytes]]]) -> tuple[dict, list[bytes]
         at = {k: numbers.setdefault(blob, len(numbers)) for k, blob in enumerate(blobs)} | {None: None}
         variants.append({**d, "shaders": [at[k] for k in d["shaders"]],
                          "images": [{**image, "data": at[image["data"]]} for image in d["images"]],
-                         "values": [{**value, "initial": at[value["initial"]]} for value in d["values"]]})
+                         "values": [{**value, "initial": at.get(value["initial"], value["initial"])} for value in d["values"]]})
     return {"variants": variants}, list(numbers)
 
 
 def version_of(descriptions: Sequence[dict]) -> int:
     """The format version of a file with these variants."""
+    if any(type(value["initial"]) is bytes for d in descriptions for value in d["values"]):
+        return FILLED
     if any(d.get("computes") for d in descriptions):
         return COMPUTE
     if any(image["format"] in v.HALF_FORMATS for d in descriptions for image in d["images"]) \
@@ -157,8 +160,8 @@ def loads(data: bytes, pin: str | None = None) -> Bundle:
     magic, version, reserved, size, digest = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise BundleError("not a bundle: the file does not begin with DRESSI")
-    if version not in (VERSION, SEVERAL, MORE, COMPUTE):
-        raise BundleError(f"format version {version}; this reader knows {VERSION} to {COMPUTE}; compile the bundle again or update "
+    if not VERSION <= version <= FILLED:
+        raise BundleError(f"format version {version}; this reader knows {VERSION} to {FILLED}; compile the bundle again or update "
                           "dressi_edge")
     if reserved != 0:
         raise BundleError(f"reserved field is {reserved}; 0 is allowed")
@@ -272,7 +275,7 @@ def check_blobs(d: dict) -> None:
         if image["data"] is not None:
             expect(f"images[{k}].data", image["data"], image_bytes(image))
     for k, value in enumerate(d["values"]):
-        if value["initial"] is not None:
+        if type(value["initial"]) is int:
             expect(f"values[{k}].initial", value["initial"], image_bytes(d["images"][value["image"]]))
     for k, blob in enumerate(d["shaders"]):
         size = d["blobs"][blob][1]

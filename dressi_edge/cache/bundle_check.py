@@ -265,8 +265,11 @@ def _value(where, value, d) -> None:
         raise BundleError(f"{where}: its image lacks usage {wanted}")
     if image["data"] is not None:
         raise BundleError(f"{where}: its image {value['image']} is a constant")
-    if value["initial"] is not None:
-        number(f"{where}.initial", value["initial"], 0, len(d["blobs"]) - 1)
+    if (start := value["initial"]) is not None:
+        if type(start) is not bytes:
+            number(f"{where}.initial", start, 0, len(d["blobs"]) - 1)
+        elif len(start) != (texel := v.TEXEL_BYTES[image["format"]]):
+            raise BundleError(f"{where}.initial: {len(start)} bytes; a texel of its image has {texel}")
         if value["role"] in ("output", "copy"):
             raise BundleError(f"{where}.initial: {'an output' if value['role'] == 'output' else 'a copy'} has none")
 

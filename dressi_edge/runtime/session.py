@@ -113,15 +113,18 @@ class Session:
             self._work.finish()
         data = [(k, image["data"]) for k, image in enumerate(self._d["images"]) if image["data"] is not None]
         data += [(value["image"], value["initial"]) for value in self._d["values"] if value["initial"] is not None]
-        for batch in batches([self._copy(k, self.bundle.blob(blob)) for k, blob in data]):
+        for batch in batches([self._copy(k, start) for k, start in data]):
             upload(self._work, self._staging, batch)
 
     def _handle(self, image: int) -> tuple[int, dict]:
         """The current image and its record."""
         return self._images.handles[image][self._parity.get(image, 0)], self._d["images"][image]
 
-    def _copy(self, image: int, data) -> tuple[int, dict, np.ndarray]:
-        return *self._handle(image), np.frombuffer(data, np.uint8)
+    def _copy(self, image: int, start: int | bytes) -> tuple[int, dict, np.ndarray]:
+        """What fills the image: a blob, or one texel for all."""
+        handle, record = self._handle(image)
+        data = np.frombuffer(start if type(start) is bytes else self.bundle.blob(start), np.uint8)
+        return handle, record, np.tile(data, record["width"] * record["height"]) if type(start) is bytes else data
 
     def close(self) -> None:
         """Give everything back; safe to call twice. In a forked child, which owns nothing on the device, it does nothing."""

@@ -125,7 +125,7 @@ def _allocation(places: Allocation, profile: Profile, naive: bool = False) -> No
 @check.register
 def _description(description: dict, profile: Profile, naive: bool = False) -> None:
     blobs = 1 + max([*description["shaders"], *(x[key] for of, key in (("images", "data"), ("values", "initial"))
-                                                for x in description[of] if x[key] is not None)], default=-1)
+                                                for x in description[of] if type(x[key]) is int)], default=-1)
     check_description({**description, "blobs": [[0, 0, bytes(32)]] * blobs})
 
 

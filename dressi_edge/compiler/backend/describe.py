@@ -5,6 +5,7 @@ In: a program, its packed plans, their code, their places, and SPIR-V for each s
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..passes.substage import KEPT, Stage, Substage
 from .allocate import Allocation, Image, PlacedPlan, PlacedStage, is_copy
 from .code import ATTACHMENT, SAMPLER, Binding, Code, DrawCode
 
-LARGE_ZERO = 1 << 16  # bytes from which a state that starts with zeros is not in the file
+LARGE = 1 << 16  # bytes from which a state that starts with zeros is not in the file, and an image that starts as one texel is that texel
 
 Shader = tuple[str, str]  # "vert", "frag" or "comp", and its GLSL
 
@@ -37,11 +38,12 @@ def describe(program: Program, plans: Sequence[PackedPlan], code: Sequence[Seque
     values = _values(program, plans, places, blobs)
     numbers = {value["name"]: k for k, value in enumerate(values)}
     at = {plan.graph.name: k for k, plan in enumerate(plans)}
+    filled = any(type(value["initial"]) is bytes for value in values)
     described = [_plan(plan, c, where, tables, numbers, at) for plan, c, where in zip(plans, code, places.plans)]
     return {"meta": program.meta, "images": images, "samplers": tables.samplers.records,
             "shaders": [blobs.add(spirv[shader]) for shader in tables.shaders],
             "passes": tables.passes.records, "pipelines": tables.pipelines.records,
-            **({"computes": tables.computes.records} if tables.computes.records else {}),
+            **({"computes": tables.computes.records} if tables.computes.records or filled else {}),
             "values": values, "plans": described}, blobs.made
 
 
@@ -105,17 +107,22 @@ def _image(image: Image, blobs: _Blobs) -> dict:
 
 
 def _values(program: Program, plans: Sequence[PackedPlan], places: Allocation, blobs: _Blobs) -> list[dict]:
-    def record(name: str, role: str, layout: Layout, initial: int | None) -> dict:
+    def record(name: str, role: str, layout: Layout, initial: int | bytes | None) -> dict:
         return {"name": name, "role": role, "image": places.values[name], "type": layout.vtype, "layout": layout.kind,
                 "width": layout.width, "height": layout.height, "count": layout.count, "columns": layout.columns, "initial": initial}
+
+    def start(name: str, layout: Layout, texels: bytes) -> int | bytes | None:
+        count = math.prod(layout.size)
+        texel = texels[:len(texels) // count]
+        if len(texels) < LARGE or texels != texel * count:
+            return blobs.add(texels)
+        return texel if program.roles[name] == "input" or any(texel) else None  # a state without is zero
 
     values = []
     for name, value in program.values.items():
         half = value.node.half is not None
         texels = None if value.initial is None else _texels(value.layout.to_image(value.initial, name, half), value.layout.vtype, half)
-        zero = program.roles[name] == "state" and texels is not None and len(texels) >= LARGE_ZERO and texels.count(0) == len(texels)
-        initial = None if texels is None or zero else blobs.add(texels)  # a state without is zero
-        values.append(record(name, program.roles[name], value.layout, initial))
+        values.append(record(name, program.roles[name], value.layout, None if texels is None else start(name, value.layout, texels)))
     copies = dict.fromkeys(x for plan in plans for x in plan.graph.targets if isinstance(x, Node) and is_copy(program, x))
     return values + [record(x.attrs["name"], "copy", Layout("image", x.vtype, x.extent.width, x.extent.height), None) for x in copies]
 
