@@ -78,7 +78,8 @@ EXTENSIONS = """
 
 # Enums nobody reads by name here.
 SKIPPED = {"VkStructureType", "VkObjectType", "VkSystemAllocationScope", "VkInternalAllocationType", "VkDriverId",
-           "VkValidationFeatureEnableEXT", "VkValidationFeatureDisableEXT"}
+           "VkValidationFeatureEnableEXT", "VkValidationFeatureDisableEXT", "VkBlendFactor", "VkBlendOp", "VkBorderColor",
+           "VkComponentSwizzle", "VkImageCreateFlagBits", "VkIndexType", "VkLogicOp", "VkQueryPipelineStatisticFlagBits", "VkStencilOp"}
 # Newer versions add fields to old enums: only results of later versions are of use, to name an error.
 VERSIONS = {"VkResult": {"VK_VERSION_1_0", "VK_VERSION_1_1", "VK_VERSION_1_2"}}
 

@@ -121,10 +121,7 @@ class Session:
         return self._images.handles[image][self._parity.get(image, 0)], self._d["images"][image]
 
     def _copy(self, image: int, start: int | bytes) -> tuple[int, dict, np.ndarray]:
-        """What fills the image: a blob, or one texel for all."""
-        handle, record = self._handle(image)
-        data = np.frombuffer(start if type(start) is bytes else self.bundle.blob(start), np.uint8)
-        return handle, record, np.tile(data, record["width"] * record["height"]) if type(start) is bytes else data
+        return *self._handle(image), np.frombuffer(start if type(start) is bytes else self.bundle.blob(start), np.uint8)
 
     def close(self) -> None:
         """Give everything back; safe to call twice. In a forked child, which owns nothing on the device, it does nothing."""

@@ -18,7 +18,7 @@ ALIGN = 64  # of each image in the staging buffer; Vulkan asks for 4 and the siz
 BATCH_BYTES = 8 << 20
 
 Fill = Callable[[np.ndarray], None]  # writes, or reads, the bytes of an image where they lie in the staging buffer
-Copy = tuple[int, dict, np.ndarray | Fill]  # image handle, its record, its bytes as uint8
+Copy = tuple[int, dict, np.ndarray | Fill]  # image handle, its record, its bytes or a texel's as uint8
 
 
 def clear(images: Images, c: int, compute: bool = False) -> None:
@@ -65,7 +65,7 @@ def upload(work: Work, staging: Staging, copies: Sequence[Copy], changes: Sequen
         if callable(data):
             data(place)
         else:
-            place[...] = data
+            place.reshape(-1, data.size)[...] = data
 
     def copy(c: int) -> None:
         wait(c, work.compute)
