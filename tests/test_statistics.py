@@ -36,6 +36,24 @@ def test_every_pipeline_is_compiled_and_placed(gpu, name):
     gpu.silent()
 
 
+@pytest.mark.parametrize("name", ["copies", "dispatched"])
+def test_of_one_plan_its_own_pipelines_are_compiled_and_no_others(gpu, name):
+    taken = bundle.read(FOLDER / f"{name}.dressi").variants[0]
+    found, names = places(taken.description), [plan["name"] for plan in taken.description["plans"]]
+    made = {name: compiled(gpu.device, taken, name) for name in names}
+    assert len([one for some in made.values() for one in some]) == len(found) and len([some for some in made.values() if some]) > 2
+    assert all(one.place.plan == name and one.ms > 0 for name, some in made.items() for one in some)
+    assert compiled(gpu.device, taken, "no such plan") == []
+    gpu.silent()
+
+
+VIDEOCORE = Compiled(None, 1.0, (("fragment", 16, {"Instruction Count": 566, "Thread Count": 2, "TMU Spills": 7, "TMU Fills": 9}),))
+
+
+def test_what_videocore_spills_is_read():
+    assert {what: VIDEOCORE.told(what) for what in ("spills", "waves", "instructions")} == {"spills": 7, "waves": 2, "instructions": 566}
+
+
 @pytest.mark.parametrize("name", ["silhouette", "copies"])
 def test_images_take_at_least_their_texels_and_what_a_session_takes(gpu, name):
     raw, taken = image_memory(gpu.device, bundle.read(FOLDER / f"{name}.dressi").variants[0])

@@ -6,7 +6,7 @@ VK_KHR_pipeline_executable_properties, each with names of its own; NAMES says wh
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -82,33 +82,35 @@ def places(d: dict) -> dict[int, Place]:
 
 
 class _Timed(Pipelines):
-    """Pipelines, those of compute after the others, and how long each took."""
+    """Pipelines, those of compute after the others, and how long each took; of those that are not asked for nothing is made."""
 
-    def __init__(self, *arguments):
-        self.ms: list[float] = []
+    def __init__(self, asked: Container[int], *arguments):
+        self.asked, self.ms = asked, []
         super().__init__(*arguments)
 
     def _pipeline(self, p: dict, layout: int, cache: int) -> int:
-        return self._timed(super()._pipeline, p, layout, cache)
+        return self._timed(0, super()._pipeline, p, layout, cache)
 
     def _compute(self, c: dict, cache: int) -> Compute:
-        return self._timed(super()._compute, c, cache)
+        return self._timed(Compute(0, 0, 0, ()), super()._compute, c, cache)
 
-    def _timed(self, make: Callable, *arguments):
+    def _timed(self, nothing, make: Callable, *arguments):
         start = time.perf_counter()
-        made = make(*arguments)
+        made = make(*arguments) if len(self.ms) in self.asked else nothing
         self.ms.append((time.perf_counter() - start) * 1e3)
         return made
 
 
-def compiled(device, bundle) -> list[Compiled]:
-    """Every pipeline of the bundle (one variant), compiled on the device: no cache, no images. Raises DeviceError where the device cannot
-    make one."""
-    where = places(bundle.description)
-    made = _Timed(device, bundle, _depth_format(device, bundle.description))
+def compiled(device, bundle, plan: str | None = None) -> list[Compiled]:
+    """Every pipeline of the bundle (one variant), or those that are first drawn in this plan, compiled on the device: no cache, no images.
+    Raises DeviceError where the device cannot make one."""
+    d = bundle.description
+    where = places(d)
+    asked = [k for k in range(len(d["pipelines"]) + len(d.get("computes", ()))) if plan is None or k in where and where[k].plan == plan]
+    made = _Timed(set(asked), device, bundle, _depth_format(device, d))
     try:
-        return [Compiled(where.get(k), ms, _executables(device, pipeline))
-                for k, (pipeline, ms) in enumerate(zip((*made.pipelines, *(c.pipeline for c in made.computes)), made.ms, strict=True))]
+        pipelines = [*made.pipelines, *(c.pipeline for c in made.computes)]
+        return [Compiled(where.get(k), made.ms[k], _executables(device, pipelines[k])) for k in asked]
     finally:
         made.close()
 

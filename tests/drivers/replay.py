@@ -2,7 +2,7 @@
 
     python replay.py ROOT [--shaders] FOLDER..    every NAME.dressi with NAME.json of these folders
 
-ROOT: the checkout. --shaders: nothing is loaded and stepped, every pipeline of a bundle is made once, and what its compiler tells is asked;
+ROOT: the checkout. --shaders: nothing is stepped; the pipelines of `fit` alone are made, once, and what their compiler tells is asked:
 for drivers on an emulated processor, where a step takes minutes. Imports the runtime, the standard library and numpy alone, so that any
 Python will do. Out: on standard output a line of
 JSON for the device and one for each bundle, as soon as it is done:
@@ -69,7 +69,7 @@ def main():
             taken = bundle.read(path).variants[0] if shaders else stepped(device, path, told)
             if shaders:
                 told["bytes"] = list(image_memory(device, taken))
-            for one in compiled(device, taken) if device.statistics or shaders else ():
+            for one in compiled(device, taken, "fit" if shaders else None) if device.statistics or shaders else ():
                 numbers = {name: x for name in NAMES if (x := one.told(name)) is not None}
                 told["statistics"].append([str(one.place), one.place.pixels if one.place else 0, numbers, round(one.ms, 1)])
         except Exception as error:  # noqa: BLE001  (what went wrong is the result)

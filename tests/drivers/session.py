@@ -24,8 +24,8 @@ class Outcome:
 
 
 def run(name: str, packages: Path, folders: Sequence[Path], shaders: bool = False) -> Outcome:
-    """Every bundle of these folders on this driver, under the validation layer. packages: the folder that `fetch` keeps. shaders: pipelines
-    are made, and nothing else."""
+    """Every bundle of these folders on this driver, under the validation layer. packages: the folder that `fetch` keeps. shaders: the
+    pipelines of `fit` are made, and nothing else."""
     driver = catalog.DRIVERS[name]
     words, environment = catalog.command(driver, packages, str(Path(__file__).with_name("replay.py")), str(ROOT),
                                          *["--shaders"] * shaders, *map(str, folders))

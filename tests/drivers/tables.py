@@ -3,7 +3,8 @@
     python -m tests.drivers.tables [GROUP or names of drivers]
 
 Every driver runs what `make test-drivers` runs, and the whole problems once more as they are compiled for `AGAINST`, the profile that
-one would take for a desktop of which one knows nothing. Results of drivers that are not named stay in benchmarks/results/drivers.json.
+one would take for a desktop of which one knows nothing. Drivers on an emulated processor compile the shaders of one step of the whole
+problems for their own profile, and no more: minutes each. Results of drivers that are not named stay in benchmarks/results/drivers.json.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ def measure(name: str, bundles: dict[str, list[Path]]) -> dict:
                 whole.write(problem, profile, bundles[profile.digest][1])
         return bundles[profile.digest]
 
-    own = session.run(name, packages, folders(Profile.load(driver.profile)))
-    other = session.run(name, packages, folders(Profile.load(AGAINST))[1:])
+    shaders = driver.group == "arm"
+    own = session.run(name, packages, folders(Profile.load(driver.profile))[shaders:], shaders)
+    other = session.Outcome({}, (), ()) if shaders else session.run(name, packages, folders(Profile.load(AGAINST))[1:])
     return {"device": own.device.get("device", "?"), "driver": own.device.get("driver", "?"), "profile": driver.profile,
-            "bundles": len(own.results), "faults": list(own.faults), "executes": driver.executes,
+            "bundles": len(own.results), "shaders_alone": shaders, "faults": list(own.faults), "executes": driver.executes,
             "deviation": max((r["deviation"] for r in own.results), default=None) if driver.executes else None,
             "own": {r["name"]: _sums(r) for r in own.results if r["name"] in PROBLEMS},
             "against": {r["name"]: _sums(r) for r in other.results if r["name"] in PROBLEMS},
@@ -61,12 +63,17 @@ def _sums(r: dict) -> dict:
 
 
 def text(results: dict[str, dict]) -> str:
-    """Three tables: what ran, shaders, memory."""
+    """Four tables: what ran, all together, shaders, memory."""
     lines = ["| driver | device | profile | bundles | faults | largest deviation |", "|---|---|---|---:|---:|---:|"]
     for name, r in results.items():
-        deviation = f"{r['deviation']:.2g} of its tolerance" if r["executes"] else "draws nothing"
+        nothing = "its shaders alone" if r.get("shaders_alone") else "draws nothing"
+        deviation = f"{r['deviation']:.2g} of its tolerance" if r["executes"] else nothing
         cells = name, f"{r['device'].strip()}, {r['driver']}", r["profile"], str(r["bundles"]), str(len(r["faults"])), deviation
         lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", f"All problems together, compiled for {AGAINST} and for the device's own profile: spills of a step; what the compiler",
+              "estimates for a step, relative to the former; MB of all images.", "",
+              "| driver | spills | estimate | MB |", "|---|---:|---:|---:|"]
+    lines += [f"| {name} | {' | '.join(_together(r))} |" for name, r in results.items() if not r["executes"]]
     lines += ["", f"Shaders of one step, compiled for the device's own profile: spills (compiled for {AGAINST}), most registers, fewest",
               f"waves, and what the compiler estimates for the step relative to that for {AGAINST}: cycles, or where it gives none",
               "instructions, times pixels.", "",
@@ -80,6 +87,25 @@ def text(results: dict[str, dict]) -> str:
     for name, r in results.items():
         lines.append(f"| {name} | " + " | ".join(_bytes(r["own"].get(p), r["against"].get(p)) for p in PROBLEMS) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _together(r: dict) -> list[str]:
+    """Of all problems: spills before and after, the ratio of estimates, bytes before and after; what is not known is a dash."""
+    own, other = list(r["own"].values()), list(r["against"].values())
+    what = "cycles" if all(x["cycles"] for x in own) else "instructions"
+
+    def total(of: list[dict], pick) -> float | None:
+        found = [pick(x) for x in of]
+        return sum(found) if found and None not in found else None
+
+    def told(of: list[dict], pick, form: str) -> str:
+        found = total(of, pick)
+        return "-" if found is None else format(found, form)
+
+    sums = [total(of, lambda x: x[what] or None) for of in (own, other)]
+    return [f"{told(other, lambda x: x['spills'], 'g')} -> {told(own, lambda x: x['spills'], 'g')}",
+            f"{sums[0] / sums[1]:.2f}" if all(sums) else "-",
+            f"{told(other, lambda x: x['bytes'][1] / 1e6, '.1f')} -> {told(own, lambda x: x['bytes'][1] / 1e6, '.1f')}"]
 
 
 def _cell(own: dict | None, other: dict | None) -> str:
