@@ -138,6 +138,8 @@ class Op:
     still: Callable | None = None  # of a node whose inputs rest but those of its extent's images: passes/still.py
     ordered: Callable | None = None  # of a node: `InOrder`, or None
     numbered: Callable | None = None  # (node, numbers of texels) -> its values there, where these depend on nothing else
+    blocked: Callable | None = None  # of a node: how its texels are alike in blocks, `ops.mip_blocks.Blocks`, or None: passes/blocks.py
+    late: Callable | None = None  # of a node: what it is made of, once passes/blocks.py has seen it
     dense: str = ""  # why of a texture that it samples, input 0, there can be no list
     banded: Callable | None = None  # values, index, boxes, bins, bands= -> the sums over boxes, of so many bands of rows side by side
     sums: tuple[int, ...] = ()  # inputs of which many texels only add up: each may be rounded (compiler/passes/store.py)

@@ -31,11 +31,15 @@ def transpose(g: Node, uv: Node, lod: Node, covered: Node, extent: Extent, wrap:
     sums = [apply(f"mip_sums_{corner}", g, r.spans, r.reads, pixels=g.extent.count) for corner in ("00", "10", "01", "11")]
     around = [apply("mip_around", r.cells, r.touched.entries, ends=ends, **size) for ends in (0, 1)]
     each = apply("mip_meet", *sums, *around, 1.0 if p.even else apply("mip_share", r.touched.entries, **size))
-    return _handed_down(p, each, r.touched.slots)
+    return apply("mip_fold", each, r.touched.slots, level=0, **size)
 
 
-def _handed_down(p: Pyramid, each: Node, slots: Node) -> Node:
-    """The texture's gradient, from the list of what touched texels of all levels get."""
+def _handed_down(node: Node) -> Node:
+    """A `mip_fold` of the texture itself, level by level."""
+    (each, slots), p = node.inputs, Pyramid(node.attrs["width"], node.attrs["height"])
+    if node.attrs["level"]:
+        return node
+
     def own(level: int) -> Node:
         return apply("mip_taken", each, apply("excerpt", slots, first=p.starts[level], extent=image(*p.size(level))))
 
@@ -150,7 +154,13 @@ def _fold_infer(name, inputs, attrs):
     return inputs[0].vtype, image(*p.size(attrs["level"]))
 
 
+def _blocks(node: Node):
+    from .mip_blocks import Blocks
+    return None if node.attrs["level"] else Blocks(node)
+
+
 op("mip_fold", "each slots", attrs="width height level", reads="texel texel", cost=60, ref=_fold_ref, infer=_fold_infer, glsl=_fold_glsl,
+   late=_handed_down, blocked=_blocks,
    sample=lambda rng: ((lambda c: [rng.normal(size=(c.texels.shape[0], c.texels.shape[1], 3)), c.slots])(Chain(rng)), {**SIZE, "level": 2}),
    doc="What a level's texels get, with all that coarser texels hand down to them; slots: where each texel of all levels stands in a list.")
 

@@ -14,7 +14,7 @@ from math import isqrt
 import numpy as np
 
 from ....cache.errors import GraphError
-from ..ir import UNIT, Extent, Node, image, table
+from ..ir import COLUMN, UNIT, Extent, Node, image, table
 from ..optable import apply, op
 from .compact import Compact, compact
 from .lookup import lookup
@@ -32,6 +32,17 @@ def numbered(p: Pyramid) -> Extent:
     while -(-count // width) > MAX_SIDE and width < MAX_SIDE:
         width *= 2
     return image(width, -(-count // width))
+
+
+def columns(count: int, most: int = MAX_SIDE) -> Extent:
+    """Room for a list of so many entries: one column of 64 texels, or several of 2^k rows, at most `most`, so that a place is had by
+    shifts alone."""
+    rows = -(-count // COLUMN)
+    if rows <= most:
+        return Extent(COLUMN, rows, COLUMN * rows)
+    high = 1 << most.bit_length() - 1
+    wide = -(-rows // high) * COLUMN
+    return Extent(wide, high, wide * high)
 
 
 def run_length(reads: int, texels: int) -> int:
@@ -57,13 +68,15 @@ def reads_of(p: Pyramid, uv: Node, lod: Node, covered: Node, wrap: tuple[str, st
     """The lists of a sample at these coordinates."""
     size, places = {"width": p.width, "height": p.height}, numbered(p)
     footprint = apply("mip_footprint", uv, lod, covered, across=places.width, wrap=wrap, **size)
-    asked = compact(apply("greater_equal", apply("swizzle", footprint, channels="x"), 0.0), 1)
+    asked = compact(apply("greater_equal", apply("swizzle", footprint, channels="x"), 0.0), 1, columns(footprint.extent.count))
     ordered = sorted_list(footprint, places.width, asked)
-    starts = apply("mip_starts", ordered, asked.total, run=run_length(2 * uv.extent.count, p.starts[-1]))
-    runs = compact(starts, 1)
+    starts = apply("mip_starts", ordered, asked.total, run=run_length(2 * uv.extent.count, p.starts[-1]),
+                   count=footprint.extent.count)
+    runs = compact(starts, 1, columns(starts.extent.count))
     spans = apply("mip_spans", runs.entries, runs.total, asked.total)
     cells = apply("listed_bins", lookup(ordered, apply("swizzle", spans, channels="x")), runs.total, extent=places)
-    return Reads(apply("mip_reads", ordered, footprint, lod, **size), spans, cells, compact(apply("mip_touched", cells, **size), 1))
+    touched = compact(apply("mip_touched", cells, **size), 1, columns(cells.extent.count))
+    return Reads(apply("mip_reads", ordered, footprint, lod, **size), spans, cells, touched)
 
 
 def over(extent: Extent, *nodes: Node) -> tuple[Node, ...]:
@@ -142,7 +155,7 @@ class Chain:
         keys = (flat[asked, 1] * e.width + flat[asked, 0]).astype(np.int64)
         order = np.argsort(keys, kind="stable")
         self.total, self.ordered = np.array([[[len(asked)]]]), _listed(np.stack([keys[order], asked[order]], 1), len(flat))
-        starts = np.flatnonzero(_starts_ref(self.ordered, self.total, run).reshape(-1))
+        starts = np.flatnonzero(_starts_ref(self.ordered, self.total, run, len(flat)).reshape(-1))
         self.entries, self.runs = _listed(starts[:, None], len(flat)), np.array([[[len(starts)]]])
         self.spans = _spans_ref(self.entries, self.runs, self.total)
         self.reads = _reads_ref(self.ordered, self.footprint, self.lod, **SIZE)
@@ -194,22 +207,17 @@ op("mip_reads", "ordered footprint lod", attrs="width height", reads="own texel 
        "of the texture's texels one of that level stands for, where they all stand for as many.")
 
 
-def _starts_ref(ordered, total, run):
+def _starts_ref(ordered, total, run, count):
     keys, k = ordered.reshape(-1, 2)[:, 0], np.arange(ordered.shape[0] * ordered.shape[1])
     first = (k % run == 0) | (keys != np.roll(keys, 1))
-    return (first & (k < total.reshape(-1)[-1])).astype(np.int64).reshape(*ordered.shape[:2], 1)
-
-
-def _whole(e: Extent) -> Extent:
-    """The extent of a list, all of it."""
-    return Extent(e.width, e.height, e.count)
+    return _listed((first & (k < total.reshape(-1)[-1])).astype(np.int64)[:count, None], count)
 
 
 _TOTAL = "{total}(ivec2({total_w} - 1, {total_h} - 1))"
-op("mip_starts", "ordered total", attrs="run", reads="texel texel", cost=20, ref=_starts_ref,
-   infer=lambda name, inputs, attrs: ("int", _whole(inputs[0].extent)),
+op("mip_starts", "ordered total", attrs="run count", reads="texel texel", cost=20, ref=_starts_ref,
+   infer=lambda name, inputs, attrs: ("int", table(attrs["count"])),
    glsl="{y} = {i} < " + _TOTAL + " && ({i} % {run} == 0 || {ordered_at}({i}).x != {ordered_at}(max({i} - 1, 0)).x) ? 1 : 0;",
-   sample=lambda rng: ((lambda c: [c.ordered, c.total])(Chain(rng)), {"run": 4}),
+   sample=lambda rng: ((lambda c: [c.ordered, c.total])(Chain(rng)), {"run": 4, "count": 60}),
    doc="1 where a run of reads of one cell begins in their sorted list: with the cell, and each `run` entries.")
 
 
