@@ -15,6 +15,7 @@ from dressi_edge.compiler.graph.functions import (
     constant_table,
     dot,
     lookup,
+    scale_gradient,
     select,
     stop_gradient,
     to_float,
@@ -124,6 +125,16 @@ def test_an_inner_node_may_be_asked_for():
 
 
 # Cuts and errors
+
+
+def test_a_scaled_gradient_is_that_of_the_value_times_the_factor():
+    x, by = inputs(x=image_of(), by=image_of())
+    y = scale_gradient(x * x, by)
+    feed = values(x, by)
+    value, by_x, by_by = evaluate([y, *gradients(total(y), [x, by])], feed)
+    np.testing.assert_array_equal(value, feed["x"] ** 2)
+    np.testing.assert_allclose(by_x, 2 * feed["x"] * feed["by"])
+    assert not by_by.any()
 
 
 def test_stop_gradient_and_integers_cut_the_path():

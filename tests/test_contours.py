@@ -8,7 +8,7 @@ from dressi_edge.compiler.graph.functions import compose, constant_table
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.render.raster.contours import ContourFragments
 from dressi_edge.compiler.render.raster.fragments import Fragments
-from dressi_edge.compiler.scene import HardSoftRas, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
+from dressi_edge.compiler.scene import HardSoftRas, Mesh, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
 
 pytest_plugins = ["gpu"]
 SAMPLES = 16  # a pixel's side
@@ -144,6 +144,46 @@ def test_the_device_gives_the_gradients_of_the_reference(gpu):
         for name in s.parameters:
             np.testing.assert_allclose(two[name], one[name], atol=1e-3 * np.abs(one[name]).max())
     gpu.silent()
+
+
+def slope_across(gpu, positions, faces, colors, renderer, columns):
+    """Derivative of the red of some columns, per row, by a shift of a mesh by a pixel to the right, before a white wall; 64 x 48 pixels,
+    and the mesh's x is a pixel too."""
+    s = Scene([look_at((0, 0, 1000), (0, 0, 0), (0, 1, 0), np.degrees(2 * np.arctan(24 / 1000)), 64, 48, near=500, far=2000)])
+    shift = s.parameter("shift", np.zeros(3))
+    mesh = Mesh(np.asarray(positions, float), np.array(faces))
+    s.add(mesh, rigid(mesh.positions, np.zeros(3), shift), Unlit(Vertex(constant_table(np.array(colors, float)))))
+    wall = np.array([(-99, -99, -100.0), (99, -99, -100), (99, 99, -100), (-99, 99, -100)])
+    s.add(Mesh(wall, np.array([(0, 1, 2), (0, 2, 3)])), material=Unlit(1.0))
+    s.vjp("v", ["shift"], color=s.frame(renderer).color)
+    weight = np.zeros((1, 48, 64, 3))
+    weight[:, :, columns, 0] = 1
+    with runtime.load(gpu.compile(s.program), gpu.device) as session:
+        slope = session.backward("v", color=weight)["shift"][0] / 48
+    gpu.silent()
+    return slope
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.45, 0.9])
+def test_an_upright_edge_has_its_gradient_wherever_pixels_lie_to_it(gpu, phase):
+    """A black stripe moves to the right over the white wall: each row of its right edge loses one pixel of white. At r = 1
+    sigmoid(d / sigma) itself, taken at the pixels' centres, would give 0.4 to 1.75 of it."""
+    x = 8.0 + phase
+    stripe = [(-20, -99, 0), (x, -99, 0), (x, 99, 0), (-20, 99, 0)]
+    slope = slope_across(gpu, stripe, [(0, 1, 2), (0, 2, 3)], np.zeros((4, 3)), Outline(1.0, contours=True), slice(32, 64))
+    assert abs(slope + 1) < 0.04
+
+
+@pytest.mark.parametrize("width, known", [(0.5, 2.0), (0.02, 8.0)], ids=["half a pixel", "a fiftieth"])
+def test_a_thin_face_has_a_gradient_of_bounded_size(gpu, width, known):
+    """White turns black over a face of that width which holds a column's centres: there colours change by 1 / width a pixel, of which the
+    gradient knows at most 8."""
+    x = np.array([-20, 0.5 - width / 2, 0.5 + width / 2, 20])
+    positions = [(k, y, 0) for k in x for y in (-99, 99)]
+    faces = [f for k in (0, 2, 4) for f in ((k, k + 2, k + 3), (k, k + 3, k + 1))]
+    colors = np.repeat([1.0, 1.0, 0.0, 0.0], 2)[:, None] * np.ones(3)
+    found = [slope_across(gpu, positions, faces, colors, Outline(contours=c), [32]) for c in (False, True)]
+    np.testing.assert_allclose(found, (1 / width, known), rtol=0.01)
 
 
 def lit(normals):

@@ -7,7 +7,7 @@ from graphs import Graph
 from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.autodiff import gradients
-from dressi_edge.compiler.graph.functions import apply, compose, constant, dot, mean, total
+from dressi_edge.compiler.graph.functions import apply, compose, constant, dot, mean, scale_gradient, total
 from dressi_edge.compiler.graph.ir import is_int, topological
 from dressi_edge.compiler.graph.optable import OPS
 from dressi_edge.compiler.graph.reference import evaluate
@@ -72,7 +72,7 @@ def test_a_sum_of_a_table_of_any_length_is_its_sum(count):
 IDENTITIES = {
     "x+0": lambda x: x + 0.0, "0+x": lambda x: 0.0 + x, "x-0": lambda x: x - 0.0, "x*1": lambda x: x * 1.0,
     "1*x": lambda x: 1.0 * x, "x/1": lambda x: x / 1.0, "-(-x)": lambda x: apply("neg", apply("neg", x)),
-    "stop": lambda x: apply("stop_gradient", x),
+    "stop": lambda x: apply("stop_gradient", x), "scaled": lambda x: scale_gradient(x, 3.0), "x+(x-x)*y": lambda x: x + (x - x) * leaf("y"),
     "broadcast": lambda x: apply("broadcast", x, extent=x.extent), "compose.x": lambda x: compose(x, x * 2.0).x,
 }
 

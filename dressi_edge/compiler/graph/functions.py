@@ -23,8 +23,9 @@ from .optable import OPS, Op, apply, as_node, nearest, op
 
 __all__ = ["absolute", "apply", "bincount", "channels", "clamp", "compose", "concat", "constant", "constant_table", "convolve", "cross",
            "dot", "downsample", "equal", "exclusive_scan", "gather_sum", "largest", "length", "lookup", "matmul", "maximum", "mean",
-           "minimum", "mix", "normalize", "not_equal", "op", "pad", "power", "remainder", "reshape", "select", "shift", "sigmoid",
-           "slice_table", "sparse_matmul", "sqrt", "stop_gradient", "to_float", "to_image", "to_int", "to_table", "total", "upsample"]
+           "minimum", "mix", "normalize", "not_equal", "op", "pad", "power", "remainder", "reshape", "scale_gradient", "select", "shift",
+           "sigmoid", "slice_table", "sparse_matmul", "sqrt", "stop_gradient", "to_float", "to_image", "to_int", "to_table", "total",
+           "upsample"]
 
 
 def _function(row: Op) -> Callable[..., Node]:
@@ -129,6 +130,12 @@ def not_equal(a, b) -> Node:
 def stop_gradient(a) -> Node:
     """The value, with no gradient through it."""
     return apply("stop_gradient", a)
+
+
+def scale_gradient(a, by) -> Node:
+    """a, and its gradient times `by`, which gets none."""
+    held = stop_gradient(a)
+    return held + (a - held) * stop_gradient(by)
 
 
 def to_float(a) -> Node:

@@ -21,9 +21,11 @@ def _value(node: Node) -> float | int | None:
 
 
 def _nothing(node: Node) -> bool:
-    """Whether it is zero in every channel: a literal, or a product with one."""
+    """Whether it is zero in every channel: a literal, what is taken from itself, or a product with one of these."""
     if node.op.name == "mul":
         return any(_nothing(x) for x in node.inputs)
+    if node.op.name == "sub" and node.inputs[0] is node.inputs[1]:
+        return True
     return node.op.name == "literal" and not np.any(node.attrs["value"])
 
 

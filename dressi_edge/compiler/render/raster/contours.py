@@ -6,22 +6,27 @@ are left as they are; the second layer is drawn in the tiles that have pixels on
 """
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ...graph.functions import (
+    absolute,
     apply,
     clamp,
     compose,
     constant_table,
+    dot,
     equal,
     length,
     lookup,
     maximum,
+    minimum,
     not_equal,
+    scale_gradient,
     select,
-    sigmoid,
+    sqrt,
     stop_gradient,
     to_int,
 )
@@ -29,9 +34,12 @@ from ...graph.ir import Node
 from ...graph.ops.compact import Compact, compact
 from ..atlas import Atlas
 from ..topology import Topology
-from .fragments import GUARDED, Layer, Span, around, near_faces
+from .fragments import GUARDED, Layer, Span, around, cross2, near_faces
 from .outline import OutlineFragments
 from .softness import Softness
+
+NARROWEST = 0.05  # pixels, of the sigmoid beside the pixel's own width
+STEEP = 8.0  # change of a face's weights per pixel up to which the gradient follows it
 
 
 class ContourFragments(OutlineFragments):
@@ -57,7 +65,7 @@ class ContourFragments(OutlineFragments):
         self._where = place, boxes, fixed, self._center(view)
         segment = self._along(segments)
         dist, foot = self._nearest(segment, select(self.outer, 0, 1))
-        nearer = sigmoid(dist * (1.0 / softness.width))  # how much of the picture is the near side
+        nearer = self._covered_at(dist)
         self.share = select(self.outer, 1.0 - nearer, nearer), select(self.outer, nearer, 1.0 - nearer)  # of the own face, of the other
         shown = lookup(self._owners(listed, view), place - 1)
         beyond = stop_gradient(self._beyond(segment))
@@ -70,6 +78,33 @@ class ContourFragments(OutlineFragments):
     def _listed(self, folds: Node) -> Compact:
         """All fold and boundary edges: each may be a contour."""
         return compact(select(folds.x < 1e8, 1, 0), 6)
+
+    def _covered_at(self, dist: Node) -> Node:
+        """How much of the picture the near side of a contour is at a signed distance from it: a sigmoid's mean over a pixel across the
+        edge. Its slopes at distances a pixel apart add up to 1, however narrow it is and wherever pixels lie to the edge. The sigmoid is
+        narrower than sigma by the pixel: both together spread as sigmoid(d / sigma) does (variances: pi^2 / 3 sigma^2, and 1 / 12)."""
+        width = math.sqrt(max(self.softness.width ** 2 - 0.25 / math.pi ** 2, NARROWEST ** 2))
+
+        def integral(x: Node) -> Node:
+            size = absolute(x)
+            return (x + size) * 0.5 + apply("log", apply("exp", size * (-1.0 / width)) + 1.0) * width
+
+        return integral(dist + 0.5) - integral(dist - 0.5)
+
+    def barycentrics(self, layer: Layer, span: Span | None = None) -> list[Node]:
+        """Of a face that is seen so nearly edge on that its weights change by more than STEEP a pixel, the gradient by where it lies is
+        that of one on which they change by as much: what the one centre that meets it says of it is noise, and without bounds."""
+        weights = super().barycentrics(layer, span)
+        if layer is self.layers[-1]:
+            return weights
+        h = [stop_gradient(x) for x in self._screen_corners(layer, span)]
+        a = [x.xy - stop_gradient(layer.point) * x.z for x in h]
+        pairs = (1, 2), (2, 0), (0, 1)
+        slopes = [a[j] * h[k].z - a[k] * h[j].z for j, k in pairs]
+        most = maximum(maximum(dot(slopes[0], slopes[0]), dot(slopes[1], slopes[1])), dot(slopes[2], slopes[2]))
+        total = absolute(sum((cross2(a[j], a[k]) for j, k in pairs[1:]), cross2(a[1], a[2])))
+        limit = select(layer.hard, minimum(total * STEEP / maximum(sqrt(most), 1e-10), 1.0), 1.0)
+        return [scale_gradient(x, limit) for x in weights]
 
     def _along(self, values: Node) -> Node:
         """Of each pixel what a table of the listed edges has of its contour."""

@@ -41,7 +41,7 @@ BIN = (8, 4)  # pixels of the bins that say what of the mesh may be left out
 DEGENERATE = 1e-6
 
 
-def _cross2(a: Node, b: Node) -> Node:
+def cross2(a: Node, b: Node) -> Node:
     return a.x * b.y - a.y * b.x
 
 
@@ -160,7 +160,7 @@ class Fragments:
         t = dot(o, d) / squared
         between = apply("bit_and", t > 0.0, t < 1.0)
         end = self.position - select(t < 0.5, a, b)
-        far = select(between, absolute(_cross2(d, o)) / sqrt(squared), sqrt(dot(end, end)))
+        far = select(between, absolute(cross2(d, o)) / sqrt(squared), sqrt(dot(end, end)))
         return select(hard, far, -far), select(hard, self.position, self._foot(segment))
 
     def _foot(self, segment: Node) -> Node:
@@ -226,7 +226,7 @@ class Fragments:
             start, stop = (stop_gradient(select(equal(layer.far, k), a[1], a[k])) for k in (0, 2))
             across = compose(start.x + start.y - stop.y, start.y + stop.x - start.x)
             a = [select(equal(layer.far, k), across, x) for k, x in enumerate(a)]
-        e = [_cross2(a[1], a[2]), _cross2(a[2], a[0]), _cross2(a[0], a[1])]
+        e = [cross2(a[1], a[2]), cross2(a[2], a[0]), cross2(a[0], a[1])]
         total = e[0] + e[1] + e[2]
         size = maximum(maximum(dot(a[0], a[0]), dot(a[1], a[1])), dot(a[2], a[2]))
         solid = absolute(total) > size * DEGENERATE
@@ -253,7 +253,7 @@ class Fragments:
         scale = compose(self.atlas.width / 2, self.atlas.height / 2, 1.0)
         h, point = [apply("swizzle", x, channels="xyw") * scale for x in h], stop_gradient(layer.point)
         a = [x.xy - point * x.z for x in h]
-        e = [_cross2(a[(k + 1) % 3], a[(k + 2) % 3]) for k in range(3)]
+        e = [cross2(a[(k + 1) % 3], a[(k + 2) % 3]) for k in range(3)]
         across = [h[(k + 2) % 3].z * a[(k + 1) % 3].y - h[(k + 1) % 3].z * a[(k + 2) % 3].y for k in range(3)]
         down = [h[(k + 1) % 3].z * a[(k + 2) % 3].x - h[(k + 2) % 3].z * a[(k + 1) % 3].x for k in range(3)]
         total = e[0] + e[1] + e[2]
