@@ -20,7 +20,7 @@ def compiled(monkeypatch, allowed=True):
     """The code of SHADER as another process would get it."""
     monkeypatch.setattr(spirv, "_compiled", {})
     if not allowed:
-        monkeypatch.setattr(spirv, "_compile", lambda job: pytest.fail("a shader is compiled that is on disk"))
+        monkeypatch.setattr(spirv, "_compile_some", lambda glslc, jobs: pytest.fail("a shader is compiled that is on disk"))
     return spirv.compile_all([SHADER])[SHADER]
 
 
