@@ -18,7 +18,7 @@ def number(node: Node, value: np.ndarray | None) -> int | None:
     """What an attachment can be cleared to where a node has this value: 0, or -1 for integers; else None."""
     if value is None:
         return None
-    return 0 if (value == 0).all() else -1 if is_int(node.vtype) and (value == -1).all() else None
+    return 0 if not value.any() else -1 if is_int(node.vtype) and (value == -1).all() else None
 
 
 class Known:
