@@ -44,6 +44,7 @@ from dressi_edge.compiler.scene import (  # noqa: E402
     Camera,
     Channel,
     Environment,
+    F,
     HardSoftRas,
     Mesh,
     Outline,
@@ -176,19 +177,23 @@ def fit(photos, masks, cameras, folder: Path, options) -> tuple[Thing, np.ndarra
     s = Scene(cameras)
     x = s.parameter("vertices", hull.positions)
     base = s.parameter("base", np.full((options.texels, options.texels, 3), 0.5), 0.02, 1.0, kind="image")
-    rest = s.parameter("maps", np.full((options.texels // 4, options.texels // 4, 3), [0.0, 0.5, 0.2]), 0.02, 1.0, kind="image")
+    rest = s.parameter("maps", np.full((options.texels // 4, options.texels // 4, 3), [0.0, options.rough, options.metal]), 0.02, 1.0,
+                       kind="image")
     light = s.parameter("sky", np.full((SIDE, SIDE, 3), 0.6), 0.0, PEAK, kind="image")
     part = s.add(hull, x, PBR(Texture(base), Channel(Texture(rest), "y"), Channel(Texture(rest), "z"), environment=Environment(light)))
     photo, mask = s.input("photo", photos), s.input("mask", masks)
+    grey = (light.x + light.y + light.z) * (1 / 3)
     bend, count = uniform_laplacian(x, part.topology, 2), steps * options.rounds
 
     def adam(rate: float, n: int) -> Adam:
         return Adam(Schedule(rate, rate / 10, n, "exponential"))
     for name, n, optimize, colors in (("outline", 2 * steps, {"vertices": 0.004}, False),
-                                      ("surface", count, {"base": 0.02, "maps": 0.02, "sky": 0.03}, True),
+                                      ("surface", count, {"base": 0.02, "maps": options.maps_rate, "sky": 0.03}, True),
                                       ("shape", count, {"vertices": 0.002}, True)):
         seen = s.frame(Outline(r=2.0), phase=name, order="shuffle")
-        kept = {"even": (options.even, total_variation(base) + total_variation(rest))} if name == "surface" else {
+        even = {"even": (options.even, total_variation(base) + total_variation(rest)),
+                **({"white": (options.white, l1(light, F.compose(grey, grey, grey)))} if options.white else {})}
+        kept = even if name == "surface" else {
             "mask": l2(seen.alpha, seen.at(mask)), "smooth": (options.smooth, bend)}
         s.phase(name, n, {key: adam(rate, n) for key, rate in optimize.items()},
                 **({"color": l1(seen.color, seen.at(photo))} if colors else {}), **kept)
@@ -220,6 +225,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=200, help="of each phase and round")
     parser.add_argument("--smooth", type=float, default=1.0, help="the weight of the Laplacian")
     parser.add_argument("--even", type=float, default=0.02, help="the weight of the maps' total variation")
+    parser.add_argument("--white", type=float, default=0.0, help="the weight of how far the light is from grey (Munkberg et al. 2022)")
+    parser.add_argument("--rough", type=float, default=0.5, help="the roughness that the fit begins with")
+    parser.add_argument("--metal", type=float, default=0.2, help="the metal that the fit begins with")
+    parser.add_argument("--maps-rate", type=float, default=0.02, help="Adam's, for roughness and metal")
     parser.add_argument("--samples", type=int, default=128, help="of Mitsuba, a pixel")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--profile", default="lavapipe")

@@ -14,6 +14,7 @@ from conftest import SHARED
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import anisotropy
 import asset_normals
 import binned
 import binned_fits
@@ -200,6 +201,15 @@ def test_mips_quick(tmp_path):
     rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
     assert rows["plane"]["ratio"] > 2 and rows["ball"]["ratio"] > 1.5
     assert {"texture 64, bilinear", "texture 64, dense", "texture 64, mips"} <= rows.keys()
+
+
+@pytest.mark.full
+def test_anisotropy_quick(tmp_path):
+    """Four probes have less than 0.6 of the error of one, and every way has its price."""
+    anisotropy.main(["--quick", "--json", str(tmp_path / "out.json"), "--data", str(tmp_path)])
+    rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
+    assert rows["plane"]["4 probes"] < 0.6 * rows["plane"]["mips"] and rows["ball"]["4 probes"] < 0.6 * rows["ball"]["mips"]
+    assert all(rows[way]["step"] > 0 for way in anisotropy.WAYS)
 
 
 @pytest.mark.full

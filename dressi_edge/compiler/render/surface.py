@@ -16,7 +16,7 @@ from ..graph.ir import Node
 from ..graph.optable import as_node
 from .normals import unit_face_normals, vertex_normals
 from .tangents import handedness, tangent_table
-from .texture import Wrap, level_of_detail, sample_texture
+from .texture import Wrap, level_of_detail, probes, sample_texture
 
 if TYPE_CHECKING:
     from .frame import Frame
@@ -205,6 +205,10 @@ class Surface:
         """The mip level of an image at which a pixel sees texels of its own size, a float; corners: (F, 3, 2) coordinates by which it is
         sampled, the part's own by default; see `texture.level_of_detail`."""
         return level_of_detail(*self.slopes(self.uv_corners if corners is None else corners), image.extent, bias)
+
+    def probes(self, image: Node, corners: np.ndarray, count: int, bias: float = 0.0) -> tuple[Node, Node]:
+        """How far so many samples of a pixel stand from one another in coordinates, and their mip level; see `texture.probes`."""
+        return probes(*self.slopes(corners), image.extent, count, bias)
 
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""

@@ -5,7 +5,7 @@ In: a texture, coordinates over the screen, which pixels are covered. Out: the s
 from __future__ import annotations
 
 from ...cache.errors import GraphError, InputError
-from ..graph.functions import absolute, apply, clamp, compose, dot, maximum, select, stop_gradient
+from ..graph.functions import absolute, apply, clamp, compose, dot, maximum, select, sqrt, stop_gradient
 from ..graph.ir import UNIT, Extent, Node
 from ..graph.ops.mip_pyramid import LEAST
 from ..graph.ops.mips import sample_mips
@@ -54,6 +54,24 @@ def level_of_detail(across: Node, down: Node, extent: Extent, bias: float = 0.0)
     size = compose(float(extent.width), float(extent.height))
     a, b = across * size, down * size
     return stop_gradient(0.5 * apply("log2", maximum((dot(a, a) + dot(b, b)) * 0.5, 2.0 ** -60)) + bias)
+
+
+def probes(across: Node, down: Node, extent: Extent, count: int, bias: float = 0.0) -> tuple[Node, Node]:
+    """How far `count` samples of a pixel stand from one another on a texture of `extent`, in coordinates (vec2), and the level of detail of
+    each: a pixel is an ellipse there, along whose longer axis they stand, each for its share of it. No gradient."""
+    size = compose(float(extent.width), float(extent.height))
+    a, b = across * size, down * size
+    most = maximum(maximum(absolute(a.x), absolute(a.y)), maximum(absolute(b.x), absolute(b.y)))
+    most = maximum(most, 2.0 ** -60)
+    a, b = a / most, b / most  # squares of what is far away would leave fp32
+    xx, xy, yy = a.x * a.x + b.x * b.x, a.x * a.y + b.x * b.y, a.y * a.y + b.y * b.y
+    half, turn = (xx + yy) * 0.5, sqrt(maximum((xx - yy) * (xx - yy) * 0.25 + xy * xy, 0.0))
+    longer, shorter = half + turn, maximum(half - turn, 0.0)  # squares of the axes
+    axis = select(xx > yy, compose(longer - yy, xy), compose(xy, longer - xx))
+    squared = dot(axis, axis)
+    axis = select(squared > 1e-12, axis * sqrt(longer / maximum(squared, 1e-12)), compose(sqrt(longer), 0.0))
+    lod = 0.5 * apply("log2", maximum((shorter + longer * (1.0 / count ** 2)) * 0.5, 2.0 ** -60)) + apply("log2", most) + bias
+    return stop_gradient(axis * most / size * (1.0 / count)), stop_gradient(lod)
 
 
 def sample_texture(texture: Node, uv: Node, wrap: Wrap = "repeat", gradient: str = "exact", covered: Node | None = None,
