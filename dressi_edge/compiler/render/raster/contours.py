@@ -62,6 +62,7 @@ class ContourFragments(OutlineFragments):
         self.beside = place > 0  # a contour is within r
         self.outer = apply("bit_and", self.beside, apply("bit_and", code, 1))
         boxes = around(fixed, exists, r + 0.05, view, atlas)
+        boxes = select(apply("meets_tiles", boxes, tiles, tile=GUARDED), boxes, 0)  # most edges are no contour for any pixel
         self._where = place, boxes, fixed, self._center(view)
         segment = self._along(segments)
         dist, foot = self._nearest(segment, select(self.outer, 0, 1))
