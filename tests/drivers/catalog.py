@@ -69,9 +69,9 @@ def _nvidia(chip: int, profile: str) -> Driver:
     return Driver("unstable", "nouveau", "nouveau", {"NOUVEAU_CHIPSET": f"{chip:x}"}, profile=profile)
 
 
-def _mali(number: str, profile: str) -> Driver:
+def _mali(number: str, profile: str, spills: int = 0) -> Driver:
     environment = {"PAN_GPU_ID": number, "PAN_I_WANT_A_BROKEN_VULKAN_DRIVER": "1"}
-    return Driver("unstable-arm64", "panfrost", "panfrost", environment, "arm", profile)
+    return Driver("unstable-arm64", "panfrost", "panfrost", environment, "arm", profile, spills)
 
 
 DRIVERS = {
@@ -87,11 +87,11 @@ DRIVERS = {
     **{f"adreno{number}": _adreno(number, profile) for number, profile in (
         (618, "vulkan_min"), (630, "adreno_630"), (660, "vulkan_min"), (740, "adreno_740_turnip"), (750, "adreno_740_turnip"),
         (830, "adreno_830"))},
-    "m1": Driver("unstable", "asahi", "asahi", profile="apple_m1_honeykrisp", spills=14),
+    "m1": Driver("unstable", "asahi", "asahi", profile="apple_m1_honeykrisp"),
     **{f"nvidia-{chip:x}": _nvidia(chip, profile) for chip, profile in (
         (0x120, "vulkan_min"), (0x164, "nvk_turing"), (0x174, "nvk_turing"), (0x194, "nvk_ada"))},
     "mali-g76": _mali("7211", "mali_g76_panvk"),
-    "mali-g610": _mali("a867", "mali_g610"),
+    "mali-g610": _mali("a867", "mali_g610", 3),
     "powervr-bxs": Driver("unstable-arm64", "powervr_mesa", "powervr", {"PVR_I_WANT_A_BROKEN_VULKAN_DRIVER": "1"}, "arm", "powervr_bxs"),
     "videocore7": Driver("unstable-arm64", "broadcom", "v3d", {}, "arm", "videocore7"),
 }
