@@ -20,6 +20,7 @@ import binned
 import binned_fits
 import error_vs_time
 import geometry
+import gloss
 import inverse
 import metrics
 import mips
@@ -201,6 +202,15 @@ def test_mips_quick(tmp_path):
     rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
     assert rows["plane"]["ratio"] > 2 and rows["ball"]["ratio"] > 1.5
     assert {"texture 64, bilinear", "texture 64, dense", "texture 64, mips"} <= rows.keys()
+
+
+@pytest.mark.full
+def test_gloss_quick(tmp_path):
+    """More of a change shows more, and metal shows more than roughness of the rest."""
+    gloss.main(["--quick", "--json", str(tmp_path / "out.json"), "--data", str(tmp_path)])
+    rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
+    assert rows["roughness +0.3"]["rest"] > rows["roughness +0.15"]["rest"] > 0
+    assert rows["metal 0.2"]["metal"] > rows["metal 0.43"]["metal"] > rows["metal 0.2"]["rest"]
 
 
 @pytest.mark.full
