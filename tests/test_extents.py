@@ -42,6 +42,7 @@ PROMISES = {("capsule_sum", "segment"), ("capsule_sum", "center"), ("segment_sum
                                                  *((f"soft_join_{name}", "starts alpha_parts sums_parts most_parts") for name in (
                                                      "alpha", "sums", "most")),
                                                  ("mip_texels", "where texture half rest"), ("mip_taken", "each"), ("mip_fold", "each"),
+                                                 ("mip_block_gradient", "each fold"),
                                                  ("sample_touched", "entries"),
                                                  *((f"mip_sums_{k}", "reads") for k in ("00", "10", "01", "11")),
                                                  ("soft_alpha_gradient", "slope"), ("soft_place_gradient", "slope"),
