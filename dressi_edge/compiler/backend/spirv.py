@@ -6,6 +6,7 @@ else glslangValidator compiles each in a process of its own. Both are told of er
 """
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import tempfile
@@ -84,7 +85,8 @@ def _compile_some(glslc: str | None, jobs: list[tuple[str, str]]) -> list[bytes]
         for name, (stage, text) in zip(names, jobs):
             with open(os.path.join(folder, name), "w") as f:
                 f.write(_older(stage, text))
-        subprocess.run([glslc, *GLSLC_OPTIONS, *names], cwd=folder, capture_output=True)
+        with contextlib.suppress(OSError):  # it is gone since it was found
+            subprocess.run([glslc, *GLSLC_OPTIONS, *names], cwd=folder, capture_output=True)
         codes = []
         for name, job in zip(names, jobs):
             path = os.path.join(folder, name + ".spv")

@@ -48,7 +48,7 @@ def find(name: str) -> str:
 def find_glslc() -> str | None:
     """The path of glslc, where there is one that starts; compiling takes a third of the time with it."""
     found = _found("glslc", os.environ.get("PATH", ""), os.environ.get("VULKAN_SDK", ""))
-    return found if found and _starts(found) else None
+    return os.path.abspath(found) if found and _starts(found) else None  # it is started in another folder
 
 
 @functools.lru_cache(maxsize=64)
