@@ -81,9 +81,14 @@ def player(gpu, tmp_path_factory):
     includes = subprocess.run([compiler, "-E", "-x", "c", "-"], input="#include <vulkan/vulkan.h>\n", capture_output=True, text=True)
     if includes.returncode:
         pytest.skip("no headers of Vulkan: libdressi is not tested; apt-get install libvulkan-dev")
-    built = tmp_path_factory.mktemp("native")
-    subprocess.run(["make", "-s", "-j2", "-C", ROOT / "android" / "native", f"BUILD={built}", f"CC={compiler}", "SANITIZE=1",
-                    built / "player"], check=True)
+    fcntl = pytest.importorskip("fcntl", reason="libdressi is for POSIX")
+    base = tmp_path_factory.getbasetemp()
+    built = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "native"  # of all processes of this run, which wait for it
+    built.mkdir(exist_ok=True)
+    with open(built / "lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        subprocess.run(["make", "-s", "-j2", "-C", ROOT / "android" / "native", f"BUILD={built}", f"CC={compiler}", "SANITIZE=1",
+                        built / "player"], check=True)
     shim = tmp_path_factory.mktemp("shim")
     strict = ["-O1", "-Wall", "-Wextra", "-Werror", "-Wno-cast-function-type"]
     subprocess.run([compiler, *strict, "-shared", "-fPIC", "-Wl,-soname,libvulkan.so.1", ROOT / "tests" / "player" / "shim.c",
