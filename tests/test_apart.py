@@ -102,8 +102,9 @@ def unlike():
     return s, ["first", "second", "paint", "gloss"]
 
 
-@pytest.mark.parametrize("renderer, profile", [(Outline(contours=True), "vulkan_min"), (HardSoftRas(layers=2), "lavapipe")],
-                         ids=["contours", "layers"])
+@pytest.mark.parametrize("renderer, profile", [(Outline(contours=True), "lavapipe"), (HardSoftRas(layers=2), "lavapipe"),
+                                               pytest.param(Outline(contours=True), "vulkan_min", marks=pytest.mark.full)],
+                         ids=["contours", "layers", "contours in more passes"])
 def test_what_their_passes_leave_undrawn_changes_no_bit(gpu, renderer, profile):
     s, names = unlike()
     s.vjp("v", names, color=s.frame(renderer).color)

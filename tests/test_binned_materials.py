@@ -154,7 +154,8 @@ MATERIALS = {
 }
 
 
-@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("material", [pytest.param(name, marks=[pytest.mark.full] if name in ("pbr", "normal map") else [])
+                                      for name in MATERIALS])
 def test_any_material_is_drawn_as_in_float64(material, gpu):
     """With normals of faces, so that nothing but the texture changes on a face; with several layers and gradients of both."""
     s, f = textured(Binned(2.0, gamma=1e-2, over=True), pear(8), MATERIALS[material], CAMERAS[:1])
@@ -192,6 +193,7 @@ def test_parts_of_both_kinds_are_blended_together(gpu):
     assert (np.abs(found[0] - found[1]).max(-1) > 1e-5).mean() < 0.01
 
 
+@pytest.mark.full
 def test_a_fit_learns_a_texture(gpu):
     mesh = pear(16)
     cameras = orbit(2, [20, -15], 3.0, 36, (97, 75))

@@ -247,7 +247,8 @@ def textured(renderer, profile="lavapipe"):
     return s
 
 
-@pytest.mark.parametrize("renderer", [Outline(r=2.0), Outline(r=2.0, contours=True), HardSoftRas(r=2.0, layers=2)], ids=repr)
+@pytest.mark.parametrize("renderer", [Outline(r=2.0), Outline(r=2.0, contours=True), pytest.param(
+    HardSoftRas(r=2.0, layers=2), marks=pytest.mark.full)], ids=repr)
 def test_computed_again_or_kept_the_bits_are_those_of_computing_everything_in_each_plan(gpu, renderer):
     s, rng, found = textured(renderer), np.random.default_rng(1), []
     gradients = {key: rng.normal(size=s.program.values[f"render.{key}"].layout.shape) for key in ("color", "alpha", "depth")}

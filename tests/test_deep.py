@@ -153,7 +153,8 @@ def test_a_window_gives_the_bits_of_floats(gpu, photos, tmp_path, how):
     gpu.silent()
 
 
-@pytest.mark.parametrize("profile", ["vulkan_min", "android_baseline_2022", "mali_g76", "videocore7", "adreno_740_turnip"])
+@pytest.mark.parametrize("profile", ["vulkan_min", "android_baseline_2022", "videocore7", *(
+    pytest.param(name, marks=pytest.mark.full) for name in ("mali_g76", "adreno_740_turnip"))])
 def test_every_profile_has_them(gpu, photos, tmp_path, profile):
     """The bits of the same profile's floats."""
     found = []

@@ -39,7 +39,7 @@ def test_gains_and_colours_come_back_together(gpu, tmp_path, order):
     assert np.median(np.abs(colors - 0.7 * paint.colors * TRUE.mean(0))[seen]) < 0.02
 
 
-@pytest.mark.parametrize("renderer", [Outline(2.0), HardSoftRas(2.0, layers=2), Binned(2.0)])
+@pytest.mark.parametrize("renderer", [Outline(2.0), pytest.param(HardSoftRas(2.0, layers=2), marks=pytest.mark.full), Binned(2.0)])
 def test_the_device_has_the_gradient_of_the_reference(gpu, renderer):
     """In views of more pixels than one loop may go over."""
     ball, size = icosphere(2, 0.9), (160, 140)

@@ -9,7 +9,7 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
-SLOW = ("hidden", "inverse_rendering")  # a quarter of a minute each
+SLOW = ("hidden", "inverse_rendering", "normal_map")  # a quarter of a minute each
 SMALL = {  # what is given to main(), and what its numbers must say
     "antialiasing": ({"size": (80, 60), "samples": 8}, lambda r: r["contours"] > r["outline"] + 4 > r["sharp"] + 6 > r["paper_c"] + 6),
     "image_fit": ({"steps": 150}, lambda r: r["psnr"] > 28),

@@ -186,6 +186,7 @@ def test_whether_masks_agree_is_seen_from_the_others():
     assert misses_of(Views(images, views.cameras, views.names)) == 2
 
 
+@pytest.mark.full
 def test_loose_parts_are_left_out_and_said_but_two_things_stay_two():
     def crumb(p):
         return np.maximum(ball(p), 0.08 - np.linalg.norm(p - (-0.9, 0.6, 0.5), axis=-1))

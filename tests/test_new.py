@@ -59,7 +59,8 @@ def written(tmp_path, folder, *args):
     return tomllib.loads((tmp_path / "job.toml").read_text()), done.stdout
 
 
-@pytest.mark.parametrize("kind, key, start", [("alpha", None, "sphere"), ("masks", "masks", "sphere"), ("backdrop", "backdrop", "hull")])
+@pytest.mark.parametrize("kind, key, start", [("alpha", None, "sphere"), ("masks", "masks", "sphere"), pytest.param(
+    "backdrop", "backdrop", "hull", marks=pytest.mark.full)])
 def test_the_object_is_found_by_alpha_masks_or_a_plain_backdrop(tmp_path, kind, key, start):
     job, said = written(tmp_path, folder_of(tmp_path, kind=kind), "--start", start)
     assert {"masks", "backdrop"} & set(job["views"]) == ({key} if key else set())
