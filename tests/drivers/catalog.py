@@ -90,7 +90,7 @@ DRIVERS = {
     "m1": Driver("unstable", "asahi", "asahi", profile="apple_m1_honeykrisp"),
     **{f"nvidia-{chip:x}": _nvidia(chip, profile) for chip, profile in (
         (0x120, "vulkan_min"), (0x164, "nvk_turing"), (0x174, "nvk_turing"), (0x194, "nvk_ada"))},
-    "mali-g76": _mali("7211", "mali_g76_panvk"),
+    "mali-g76": _mali("7211", "mali_g76_panvk", 18),
     "mali-g610": _mali("a867", "mali_g610", 3),
     "powervr-bxs": Driver("unstable-arm64", "powervr_mesa", "powervr", {"PVR_I_WANT_A_BROKEN_VULKAN_DRIVER": "1"}, "arm", "powervr_bxs"),
     "videocore7": Driver("unstable-arm64", "broadcom", "v3d", {}, "arm", "videocore7"),
