@@ -48,24 +48,10 @@ def test_any_sequence_gives_the_bits_of_moments_of_every_texel(gpu, tmp_path, de
     """Two phases and one that updates all; values of every kind set in between; checkpoints."""
     fit = Mips(size=size).phase("other", Sgd(3.0, 0.5), lambda loss: loss * 2.0)
     fit.program.plan("fade", {"texture": fit.textures["texture"] * 0.75})
-    rng, saved = np.random.default_rng(size[0]), []
+    rng = np.random.default_rng(size[0])
     with opened(gpu, fit, **dense) as pair:
-        for k in range(40):
-            what = rng.choice(["step", "get", "set", "checkpoint", "restore"], p=[0.4, 0.25, 0.25, 0.05, 0.05])
-            if what == "step":
-                pair.step(int(rng.integers(1, 4)), str(rng.choice(["fit", "fit", "fit", "other", "fade"])))
-            elif what == "get":
-                pair.get(str(rng.choice(["texture", "texture.adam_m", "texture.adam_v", "fit.step", "fit.loss", "other.loss"])))
-            elif what == "set":
-                name = str(rng.choice(["texture", "texture.adam_m", "texture.momentum", "uv", "lod", "covered", "wanted", "fit.step"]))
-                pair.set(name, value(rng, name, pair.listed.shape(name)))
-            elif what == "checkpoint":
-                saved = [tmp_path / f"{k}.{n}" for n in range(2)]
-                for s, path in zip((pair.listed, pair.dense), saved):
-                    s.checkpoint(path)
-            elif saved:
-                for s, path in zip((pair.listed, pair.dense), saved):
-                    s.restore(path)
+        pair.call(rng, 40, ["texture", "texture.adam_m", "texture.adam_v", "fit.step", "fit.loss", "other.loss"],
+                  ["texture", "texture.adam_m", "texture.momentum", "uv", "lod", "covered", "wanted", "fit.step"], value, tmp_path)
         pair.states()
         assert pair.runs("fit.enter") and pair.runs("fit.leave") and pair.runs("other.enter")
 

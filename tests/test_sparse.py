@@ -99,6 +99,26 @@ class Pair:
         for s in (self.listed, self.dense):
             s.step(n, phase)
 
+    def call(self, rng, count, gets, sets, value, tmp_path):
+        """So many calls in an order of chance: steps of three plans, values got and set, checkpoints."""
+        saved = []
+        for k in range(count):
+            what = rng.choice(["step", "get", "set", "checkpoint", "restore"], p=[0.4, 0.25, 0.25, 0.05, 0.05])
+            if what == "step":
+                self.step(int(rng.integers(1, 4)), str(rng.choice(["fit", "fit", "fit", "other", "fade"])))
+            elif what == "get":
+                self.get(str(rng.choice(gets)))
+            elif what == "set":
+                name = str(rng.choice(sets))
+                self.set(name, value(rng, name, self.listed.shape(name)))
+            elif what == "checkpoint":
+                saved = [tmp_path / f"{k}.{n}" for n in range(2)]
+                for s, path in zip((self.listed, self.dense), saved):
+                    s.checkpoint(path)
+            elif saved:
+                for s, path in zip((self.listed, self.dense), saved):
+                    s.restore(path)
+
     def get(self, name):
         listed, dense = self.listed.get(name), self.dense.get(name)
         np.testing.assert_array_equal(listed, dense, err_msg=name)
@@ -128,24 +148,10 @@ def test_any_sequence_gives_the_bits_of_updating_every_texel(gpu, tmp_path, dens
     fit = Fit().phase("other", Sgd(3.0, 0.5), lambda loss: loss * 2.0)
     fit.program.plan("fade", {"texture": fit.textures["texture"] * 0.75})
     fit.program.plan("look", {}, {"sum": (total(fit.textures["texture"]), Layout("unit", "vec3"))})
-    rng, saved = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
     with Pair(gpu, fit, **dense) as pair:
-        for k in range(60):
-            what = rng.choice(["step", "get", "set", "checkpoint", "restore"], p=[0.4, 0.25, 0.25, 0.05, 0.05])
-            if what == "step":
-                pair.step(int(rng.integers(1, 4)), str(rng.choice(["fit", "fit", "fit", "other", "fade"])))
-            elif what == "get":
-                pair.get(str(rng.choice([*STATES, "fit.loss", "other.loss", "sum"])))
-            elif what == "set":
-                name = str(rng.choice(["texture", "texture.adam_m", "texture.momentum", "uv", "covered", "wanted", "fit.step"]))
-                pair.set(name, anything(rng, name, pair.listed.shape(name)))
-            elif what == "checkpoint":
-                saved = [tmp_path / f"{k}.{n}" for n in range(2)]
-                for s, path in zip((pair.listed, pair.dense), saved):
-                    s.checkpoint(path)
-            elif saved:
-                for s, path in zip((pair.listed, pair.dense), saved):
-                    s.restore(path)
+        pair.call(rng, 60, [*STATES, "fit.loss", "other.loss", "sum"],
+                  ["texture", "texture.adam_m", "texture.momentum", "uv", "covered", "wanted", "fit.step"], anything, tmp_path)
         pair.states()
         assert pair.runs("fit.enter") and pair.runs("fit.leave") and pair.runs("other.enter")
 

@@ -16,8 +16,8 @@ from ..graph.ir import UNIT, Node, intern, is_int, rebuild, topological
 from ..graph.ops.compact import compact
 from ..graph.ops.mip_lists import columns
 from ..graph.optable import OWN, apply
-from ..graph.program import PlanSpec, Program
-from .groups import Group, Lists
+from ..graph.program import Program
+from .groups import Group, Lists, on_copies
 from .lists import MAX_TEXELS
 from .simplify import simplify
 from .specialize import dependence
@@ -153,12 +153,5 @@ class _Body:
                       for root, name in zip(self.roots, names + [""] * (len(self.roots) - len(names))))
         leave = {key: apply("select", put, apply("lookup", c, part), 0.0) for key, c in copies.items()}
         made = Lists(number, listed, copies, enter, leave, total)
-        renamed = {key: copy.attrs["name"] for key, copy in copies.items()}
-        specs = tuple(_renamed(spec, renamed) for spec in group.specs)
         rooted = tuple(roots if k == self.phase else x for k, x in enumerate(group.roots))
-        return replace(group, specs=specs, roots=rooted, lists=(*group.lists, made))
-
-
-def _renamed(spec: PlanSpec, names: dict[str, str]) -> PlanSpec:
-    return replace(spec, dynamic=spec.dynamic.union(names.values()),
-                   updates={names.get(name, name): node for name, node in spec.updates.items()})
+        return replace(group, specs=on_copies(group.specs, copies), roots=rooted, lists=(*group.lists, made))

@@ -32,6 +32,13 @@ class Lists:
         return Layout("image", copy.vtype, self.extent.width, self.extent.height)
 
 
+def on_copies(specs: Sequence[PlanSpec], copies: Mapping[str, Node]) -> tuple[PlanSpec, ...]:
+    """The specs of a group whose phase updates copies, by state name, in place of the states."""
+    names = {name: copy.attrs["name"] for name, copy in copies.items()}
+    return tuple(replace(spec, dynamic=spec.dynamic.union(names.values()),
+                         updates={names.get(name, name): node for name, node in spec.updates.items()}) for spec in specs)
+
+
 @dataclass(frozen=True)
 class Group:
     """Plans between whose runs the same leaves change. roots: of each, its updates, then its outputs. lists: on which they work; their

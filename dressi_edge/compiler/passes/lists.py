@@ -21,7 +21,7 @@ from ..graph.ops.compact import compact
 from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
 from .constants import constant_value
-from .groups import Group, Lists
+from .groups import Group, Lists, on_copies
 from .simplify import simplify
 from .specialize import dependence
 
@@ -63,9 +63,7 @@ def find_lists(group: Group, program: Program, rows: int, least: int) -> Group:
             except _Dense as reason:
                 why = f"every texel is updated: {reason}"
             told |= {name: why for name, node in sampled if node.extent == extent}
-    names = {name: copy.attrs["name"] for x in lists for name, copy in x.copies.items()}
-    specs = tuple(replace(spec, dynamic=spec.dynamic.union(names.values()),
-                          updates={names.get(name, name): node for name, node in spec.updates.items()}) for spec in specs)
+    specs = on_copies(specs, {name: copy for x in lists for name, copy in x.copies.items()})
     return replace(group, specs=specs, roots=tuple(map(tuple, rooted)), lists=tuple(lists),
                    told={spec.name: told for spec in specs if spec.updates and told})
 

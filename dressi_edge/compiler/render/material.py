@@ -131,7 +131,6 @@ class Texture:
             uv = compose(*(row[0] * uv.x + row[1] * uv.y + row[2] for row in self.transform))
         return s.texture(image, uv, self.wrap, self.gradient)
 
-
     def _along(self, s: Surface, image: Node, uv: Node, apart: Node, lod: Node) -> Node:
         """The mean of samples that stand evenly about uv."""
         first, *more = (s.texture(image, uv + apart * (k - 0.5 * (self.anisotropy - 1)), self.wrap, self.gradient, lod)
