@@ -1,5 +1,8 @@
 """Anisotropy: samples along the longer axis of what a pixel sees of a texture."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_mips import check_gradient, fine, fp32, picture, scene_with, tilted
@@ -7,11 +10,32 @@ from test_mips import check_gradient, fine, fp32, picture, scene_with, tilted
 from dressi_edge import runtime
 from dressi_edge.cache.errors import InputError
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.graph.functions import constant
+from dressi_edge.compiler.graph.functions import compose, constant
 from dressi_edge.compiler.graph.ir import image
 from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.io.images import srgb_to_linear
+from dressi_edge.compiler.io.materials import Material, Part, TextureMap
+from dressi_edge.compiler.io.textures import Picture
+from dressi_edge.compiler.io.writers import save_png
 from dressi_edge.compiler.render.texture import probes
-from dressi_edge.compiler.scene import HardSoftRas, Scene, Texture, Unlit
+from dressi_edge.compiler.scene import (
+    Adam,
+    HardSoftRas,
+    Loss,
+    Outline,
+    Problem,
+    Scene,
+    Softness,
+    Texture,
+    Unlit,
+    encode_srgb,
+    l2,
+    load_mesh,
+    load_views,
+    look_at,
+    save_parts,
+)
+from dressi_edge.compiler.scene.job import parse_job
 
 pytest_plugins = ["gpu"]
 
@@ -78,3 +102,92 @@ def test_what_anisotropy_cannot_be_is_named():
             Texture(t, mips=True, anisotropy=wrong)
     with pytest.raises(InputError, match="has no mips; give it mips=True, or 1"):
         Texture(t, anisotropy=2)
+
+
+# Jobs
+
+SIZE = (80, 60)
+FLOOR = {"path": "floor.glb"}
+HOW = {"mips": True, "anisotropy": 2}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A floor to the horizon with a fine texture, as a file, and two photographs of noise with their cameras."""
+    folder, rng, (mesh, (one,)) = tmp_path_factory.mktemp("floor"), np.random.default_rng(1), tilted(SIZE)
+    mesh = replace(mesh, texture=fine(128))
+    other = look_at([-0.4, 0.5, 2.5], [0, 0, -0.5], [0, 1, 0], 50, *SIZE)
+    save_parts(folder / "floor.glb", [Part("floor", mesh, Material("m", base_texture=TextureMap(Picture("t", None)), unlit=True))])
+    frames = []
+    for k, camera in enumerate((one, other)):
+        photo = rng.random((*SIZE[::-1], 4))
+        photo[..., 3] = np.arange(SIZE[1])[:, None] > 5
+        save_png(folder / f"{k}.png", photo)
+        frames.append({"file_path": f"{k}.png", "transform_matrix": camera.camera_to_world.tolist()})
+    (folder / "transforms.json").write_text(json.dumps({"fl_x": one.fx, "fl_y": one.fy, "cx": one.cx, "cy": one.cy, "w": SIZE[0],
+                                                        "h": SIZE[1], "frames": frames}))
+    return folder
+
+
+def job(kind, **how):
+    """A job of the floor as TOML reads it: of one mesh, of a part or of a whole file; how: its texture is sampled."""
+    name = "texture" if kind == "mesh" else "floor.texture"
+    head = {"mesh": {"mesh": FLOOR, "render": how}, "part": {"part": [{"name": "floor", **FLOOR, "material": how}]},
+            "scene": {"scene": {**FLOOR, **how}}}[kind]
+    return {**head, "views": {"transforms": "."},
+            "phase": [{"name": "fit", "steps": 3, "optimize": {name: {"rate": 0.05}}, "loss": [{"kind": "color"}]}]}
+
+
+def by_hand(kind, folder, **how):
+    """The same in Python."""
+    views, mesh = load_views(folder), load_mesh(folder / "floor.glb")
+    if kind == "mesh":
+        problem = Problem(mesh, views, normals="file" if mesh.normals is not None else "smooth", **how)
+        problem.phase("fit", 3, {"texture": Adam(0.05)}, [Loss("color")])
+        problem.render("render", Softness(1.0, delta=0.0))
+        return problem
+    lit = kind == "scene"
+    scene = Scene(views.cameras, encode=encode_srgb if lit else None)
+    texture = scene.parameter("floor.texture", srgb_to_linear(mesh.texture) if lit else mesh.texture, 0.0, 1.0, kind="image")
+    scene.add(mesh, material=Unlit(Texture(texture, mesh.wrap, **how)), name="floor")
+    seen, target = scene.frame(Outline(r=2.0)), scene.input("targets", views.images)
+    scene.phase("fit", 3, {"floor.texture": Adam(0.05)}, color=l2(seen.color, target.xyz * target.w))
+    sharp = scene.frame(HardSoftRas(r=1.0, delta=0.0))
+    scene.output("render", color=compose(sharp.color, sharp.alpha))
+    return scene
+
+
+@pytest.mark.parametrize("kind", [pytest.param("mesh", marks=pytest.mark.full), "part", "scene"])
+def test_a_job_samples_as_it_says(gpu, folder, tmp_path, kind):
+    """Through a bundle: the bits of the same scene in Python, after steps, too."""
+
+    def found(problem, name):
+        problem.compile("lavapipe", tmp_path / name)
+        with runtime.load(tmp_path / name, gpu.device) as session:
+            start = session.get("render.color")
+            session.step(3, "fit")
+            return start, session.get("texture" if kind == "mesh" else "floor.texture"), session.get("render.color")
+
+    said, wanted = parse_job(job(kind, **HOW), folder / "job.toml"), by_hand(kind, folder, **HOW)
+    for a, b in zip(found(said, "job.dressi"), found(wanted, "hand.dressi"), strict=True):
+        np.testing.assert_array_equal(a, b)
+    gpu.silent()
+
+
+WHERE = {"mesh": "render", "part": r"part\[0\].material", "scene": "scene"}
+
+
+@pytest.mark.parametrize("kind", WHERE)
+def test_a_job_s_anisotropy_that_cannot_be_is_named(folder, kind):
+    for wrong in (0, 17, 1000, 3.5, "4", True):
+        with pytest.raises(InputError, match=f"{WHERE[kind]}.anisotropy is {wrong!r}; a whole number from 1 to 16 is needed"):
+            parse_job(job(kind, mips=True, anisotropy=wrong), folder / "job.toml")
+    with pytest.raises(InputError, match=f"{WHERE[kind]}: anisotropy is 4, but there are no mips; set mips = true, or drop it"):
+        parse_job(job(kind, mips=False, anisotropy=4), folder / "job.toml")
+    with pytest.raises(InputError, match=f"{WHERE[kind]}.mips is 1; true or false is needed"):
+        parse_job(job(kind, mips=1), folder / "job.toml")
+
+
+def test_one_pixel_a_texel_is_not_for_mips(folder):
+    with pytest.raises(InputError, match="render: texture_grad is inverse_uv, which a texture with mips does not have; use exact"):
+        parse_job(job("mesh", mips=True, texture_grad="inverse_uv"), folder / "job.toml")

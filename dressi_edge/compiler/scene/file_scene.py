@@ -31,7 +31,8 @@ NAME = re.compile(r"\W+", re.ASCII)
 
 
 def load_scene(path: str | Path, cameras: Sequence[Camera] = (), size: tuple[int, int] = (512, 512), *, parameters: Sequence[str] = (),
-               lights: Sequence[Light] | None = None, mips: bool = True, background=(0.0, 0.0, 0.0), encode=encode_srgb) -> Scene:
+               lights: Sequence[Light] | None = None, mips: bool = True, background=(0.0, 0.0, 0.0), encode=encode_srgb,
+               anisotropy: int = 1) -> Scene:
     """The scene of a .gltf or .glb file: every part with its material (PBR, or Unlit for KHR_materials_unlit), its lights and, unless
     others are given, its cameras for pictures of `size` = (width, height).
 
@@ -39,13 +40,13 @@ def load_scene(path: str | Path, cameras: Sequence[Camera] = (), size: tuple[int
     `.roughness`, `.emissive`, `.texture` (of the base colour, linear), `.metallic_roughness_texture` (green: roughness, blue: metallic),
     `.normal_texture`, `.occlusion_texture`, `.emissive_texture`, `.colors` (of vertices or corners, linear); `light<k>.power`, ...
     A part's name is its node's, of letters, digits and _. lights: in place of the file's; where it has none, a white ambient one.
-    What is not drawn (transparency) is noted. Raises InputError, naming the file."""
+    mips, anisotropy: of all textures, as in `Texture`. What is not drawn (transparency) is noted. Raises InputError, naming the file."""
     path = Path(path)
     if not cameras:
         if not has_cameras(path):
             raise InputError(f"{path} has no camera; give cameras")
         cameras, _ = gltf_cameras(path, *size)
-    builder = _Builder(Scene(cameras, background, encode), tuple(parameters), mips)
+    builder = _Builder(Scene(cameras, background, encode), tuple(parameters), {"mips": mips, "anisotropy": anisotropy})
     builder.lights = builder.lit([light_of(x) for x in gltf_lights(path)] if lights is None else list(lights))
     parts = load_parts(path)
     if not builder.lights and any(not part.material.unlit for part in parts):
@@ -80,10 +81,10 @@ def names_of(parts: Sequence[Part]) -> list[str]:
 
 
 class _Builder:
-    """Adds the parts of a file to a scene. asked: the names of all that could be a parameter."""
+    """Adds the parts of a file to a scene. how: textures are sampled. asked: the names of all that could be a parameter."""
 
-    def __init__(self, scene: Scene, patterns: tuple[str, ...], mips: bool):
-        self.scene, self.patterns, self.mips = scene, patterns, mips
+    def __init__(self, scene: Scene, patterns: tuple[str, ...], how: dict):
+        self.scene, self.patterns, self.how = scene, patterns, how
         self.asked: dict[str, None] = {}
         self.lights: list[Light] = []
 
@@ -118,7 +119,7 @@ class _Builder:
             return None
         texels = found.picture.texels()[..., :3]
         image = self._image(name, srgb_to_linear(texels) if encoded else texels)
-        return Texture(image, found.wrap, uv=Coordinates(*uvs, found.transform), mips=self.mips)
+        return Texture(image, found.wrap, uv=Coordinates(*uvs, found.transform), **self.how)
 
     def add(self, part: Part, name: str) -> None:
         """Add a part of the file. Raises InputError."""

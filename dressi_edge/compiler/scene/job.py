@@ -23,6 +23,7 @@ from .problem import ALBEDOS, IMAGE_LOSSES, MESH_LOSSES, SHADINGS, Loss, Problem
 from .sections import (
     LIGHT,
     MESH,
+    SAMPLED,
     SHARP,
     SOFT,
     light_of,
@@ -30,6 +31,7 @@ from .sections import (
     mesh_of,
     no_points_in,
     optimizer_of,
+    sampled,
     schedule_of,
     soft,
     softness_of,
@@ -114,7 +116,7 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
     problem = render.checked(
         Problem, mesh, views, order=order, seed=seen.seed, albedo=albedo, lights=lights, normals=normals, judged=True,
         **carried.of(len(views), width, height),
-        **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad")})
+        **{k: settings[k] for k in ("shading", "albedo_color", "srgb", "background", "texture_size", "wrap", "texture_grad", *SAMPLED)})
     problem.program.meta.update(linear_albedo=linear or settings["srgb"], linear_images=linear, **seen.meta(views))
     limit(job, problem.scene)
     side = max(problem.width, problem.height)
@@ -127,13 +129,13 @@ def parse_job(document: dict, path: str | Path, profiles: Sequence[Profile] = ()
 
 def _render(job: Table) -> tuple[Table, dict]:
     t = Table(job.get("render", {}), "render", (*SOFT, "shading", "albedo", "albedo_color", "srgb", "background",
-                                                 "texture_size", "wrap", "texture_grad", "normals"), job.source)
+                                                 "texture_size", "wrap", "texture_grad", *SAMPLED, "normals"), job.source)
     settings = {"shading": t.word("shading", "unlit", SHADINGS), "albedo": t.word("albedo", None, ALBEDOS),
                 "albedo_color": t.numbers("albedo_color", 3, (0.5,) * 3, 0, 1), "srgb": t.flag("srgb", False),
                 "background": t.numbers("background", 3, (0.0,) * 3, 0, 1),
                 "texture_size": t.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True),
                 "wrap": t.word("wrap", None, WRAPS), "normals": t.word("normals", None, NORMALS),
-                "texture_grad": t.word("texture_grad", "exact", ("exact", "inverse_uv")), "soft": soft(t)}
+                "texture_grad": t.word("texture_grad", "exact", ("exact", "inverse_uv")), "soft": soft(t), **sampled(t)}
     if settings["srgb"] and job.get("views").get("color") == "linear":
         raise t.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")
     return t, settings

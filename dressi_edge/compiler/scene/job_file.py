@@ -17,7 +17,7 @@ from . import sense
 from .file_scene import load_scene, names_of
 from .job_scene import SceneJob, add_phases, phase_of
 from .job_views import job_views
-from .sections import LIGHT, SOFT, light_of, limit, soft
+from .sections import LIGHT, SAMPLED, SOFT, light_of, limit, sampled, soft
 from .tables import Table
 from .targets import Carried
 
@@ -26,8 +26,8 @@ def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (
                      told: Callable[[int, int], None] | None = None, carried: Carried = Carried()) -> SceneJob:  # noqa: B008  (frozen)
     """The scene of a parsed job. Raises InputError, naming the file and the key."""
     job = Table(document, "", ("scene", "views", "render", "light", "limits", "phase"), str(path))
-    file = job.table("scene", ("path", "mips"))
-    source, mips = file.file("path", path.parent), file.flag("mips", True)
+    file = job.table("scene", ("path", *SAMPLED))
+    source, how = file.file("path", path.parent), sampled(file, True)
     seen = job_views(job, path.parent, profiles, told, carried)
     linear = seen.linear
     render = Table(job.get("render", {}), "render", (*SOFT, "background"), job.source)
@@ -43,7 +43,7 @@ def parse_file_scene(document: dict, path: Path, profiles: Sequence[Profile] = (
     seen.table.checked(sense.check, whole, views, silhouettes, "", True)
     views = views.linear() if linear else views
     scene = file.checked(load_scene, source, views.cameras, parameters=sorted({key for phase in phases for key in phase.optimize}),
-                         lights=lights, mips=mips, background=background, encode=None if linear else encode_srgb)
+                         lights=lights, background=background, encode=None if linear else encode_srgb, **how)
     scene.program.meta.update(linear_albedo=True, linear_images=linear, **seen.meta(views))
     limit(job, scene)
     targets, shown = add_phases(scene, views, phases, common, seen, background)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..io.mesh import NORMALS, WRAPS, Mesh
 from ..io.views import Views
-from .sections import mesh_of
+from .sections import SAMPLED, mesh_of, sampled
 from .tables import Table
 
 MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
@@ -29,6 +29,7 @@ class PartTable:
     settings: dict
     texture_size: tuple[int, int]
     wrap: str | None
+    sampled: dict
     pose: dict
 
 
@@ -37,8 +38,8 @@ def part_of(t: Table, folder: Path) -> PartTable:
     name = t.word("name")
     if not name.replace("_", "").isalnum():
         raise t.wrong("name", name, "letters, digits and _ are allowed")
-    material = t.table("material", ("kind", "color", "texture_size", "wrap", "two_sided", *NUMBERS, "emissive")) if t.has("material") else \
-        Table({}, f"{t.where}.material", (), t.source)
+    keys = ("kind", "color", "texture_size", "wrap", *SAMPLED, "two_sided", *NUMBERS, "emissive")
+    material = t.table("material", keys) if t.has("material") else Table({}, f"{t.where}.material", (), t.source)
     kind = material.word("kind", "unlit", tuple(MATERIALS))
     lit = () if kind == "unlit" else ("two_sided",)
     if wrong := [key for key in material.has(*NUMBERS, "emissive", "two_sided") if key not in (*MATERIALS[kind], *lit)]:
@@ -60,4 +61,5 @@ def part_of(t: Table, folder: Path) -> PartTable:
     pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}
     pose |= {"scale": t.number("scale", low=0.0, above=True)} if t.has("scale") else {}
     return PartTable(t, name, mesh_of(t, folder), t.word("normals", None, NORMALS), kind, settings,
-                      material.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True), material.word("wrap", None, WRAPS), pose)
+                      material.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True), material.word("wrap", None, WRAPS),
+                      sampled(material), pose)

@@ -269,7 +269,7 @@ class _Builder:
                 raise InputError(f"material.{key} is \"texture\", but the mesh has no texture coordinates; give a number, or a mesh that "
                                  "has them")
             image = np.full((*p.texture_size[::-1], 1), NUMBERS[key][0])
-            return Texture(self.scene.parameter(name, image, *LIMITS[key], kind="image"), p.wrap or mesh.wrap)
+            return Texture(self.scene.parameter(name, image, *LIMITS[key], kind="image"), p.wrap or mesh.wrap, **p.sampled)
         return self._number(name, value)
 
     def _number(self, name: str, value):
@@ -301,7 +301,8 @@ class _Builder:
                 raise InputError("material.color is \"texture\", but the mesh has no texture coordinates; use colors, or a mesh that "
                                  "has them")
             start = np.full((*p.texture_size[::-1], 3), 0.5) if mesh.texture is None else mesh.texture
-            return Texture(self.scene.parameter(f"{named}texture", start, *LIMITS["texture"], kind="image"), p.wrap or mesh.wrap)
+            return Texture(self.scene.parameter(f"{named}texture", start, *LIMITS["texture"], kind="image"), p.wrap or mesh.wrap,
+                           **p.sampled)
         if color == "colors":
             start = np.full((len(mesh.positions), 3), 0.5) if mesh.colors is None else mesh.colors
             own = self.scene.parameter(f"{named}colors", start, *LIMITS["colors"], kind="table")

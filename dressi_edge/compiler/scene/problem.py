@@ -86,12 +86,12 @@ class Problem:
     targets and cameras, or a sequence of cameras (targets are then set on the session, shape (views, height, width, 4)).
 
     order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one, "accumulate" one, too, with the gradient of all.
-    shading "unlit" or "lambert" with `lights` and `normals`
-    "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices); `srgb` decodes the mesh's texture and colours, and encodes
-    the rendered colour before it is compared. wrap: the mesh's own unless given. near and far come from the cameras. judged: the
-    start was asked for its sense already (`sense.check`). embed: whether the bundle has the pictures; memory: bytes for all images of the
-    device; room: bytes that they should take where memory says nothing; whole: all pictures as floats at once (`targets.py`). A mesh far
-    from its origin is moved to it, with cameras and lights, by -`origin`.
+    shading "unlit" or "lambert" with `lights` and `normals` "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices);
+    `srgb` decodes the mesh's texture and colours, and encodes the rendered colour before it is compared. wrap: the mesh's own unless
+    given. mips, anisotropy: of the texture, as in `Texture`. near and far come from the cameras. judged: the start was asked for its sense
+    already (`sense.check`). embed: whether the bundle has the pictures; memory: bytes for all images of the device; room: bytes that they
+    should take where memory says nothing; whole: all pictures as floats at once (`targets.py`). A mesh far from its origin is moved to it,
+    with cameras and lights, by -`origin`.
     Raises InputError.
     """
 
@@ -115,6 +115,8 @@ class Problem:
     memory: int | None = None
     whole: bool = False
     room: int | None = None
+    mips: bool = False
+    anisotropy: int = 1
 
     def __post_init__(self):
         self.wrap = self.wrap or self.mesh.wrap
@@ -128,6 +130,8 @@ class Problem:
                 raise InputError(f"{name} is {value!r:.60}; {count} finite numbers are needed")
         if any(type(x) is not int or x < 1 for x in self.texture_size) or len(self.texture_size) != 2:
             raise InputError(f"texture_size is {self.texture_size!r:.60}; width and height of 1 or more texels are needed")
+        if self.mips and self.texture_grad == "inverse_uv":
+            raise InputError("texture_grad is inverse_uv, which a texture with mips does not have; use exact")
         if self.shading == "lambert" and not self.lights:
             raise InputError("shading lambert needs lights; give at least one")
         if self.albedo == "texture" and self.mesh.uvs is None:
@@ -171,7 +175,7 @@ class Problem:
             return Vertex(own) if mesh.color_faces is None else Corner(own, mesh.color_faces)
         texture = np.full((*self.texture_size[::-1], 3), 0.5) if mesh.texture is None else mesh.texture
         self.parameters["texture"] = s.parameter("texture", texture, 0.0, 1.0, kind="image")
-        return Texture(self.parameters["texture"], self.wrap, self.texture_grad)
+        return Texture(self.parameters["texture"], self.wrap, self.texture_grad, mips=self.mips, anisotropy=self.anisotropy)
 
     def phase(self, name: str, steps: int, optimize: Mapping[str, Optimizer], losses: Sequence[Loss | Callable],
               softness: Softness | Renderer | None = None) -> None:

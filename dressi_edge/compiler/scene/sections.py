@@ -22,6 +22,7 @@ from ..io.views import Views, load_gltf_views, photographs
 from ..render.environment import Environment
 from ..render.light import KINDS as LIGHTS
 from ..render.light import PLACED, Light, Shadow
+from ..render.material import MAX_PROBES
 from ..render.octahedron import SIZES, octahedral
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, EDGES, MAX_LAYERS, MOST, Binned, Softness
@@ -38,6 +39,7 @@ MESH = ("path", "sphere", "hull", "normalize", "texture")
 PEELED, BINNED = ("delta", "distance", "edges"), ("gamma", "depth", "squared", "over", "hard")  # what one kind of renderer alone has
 RENDERERS = ("layered", "binned")
 SOFT = ("r", "r_fraction", "sigma", "layers", *PEELED, "renderer", *BINNED)
+SAMPLED = ("mips", "anisotropy")
 ADAM = ("rate", "betas", "epsilon")
 OPTIMIZERS = {"adam": (Adam, ADAM), "adamw": (AdamW, (*ADAM, "decay")), "adam_uniform": (AdamUniform, (*ADAM, "shared")),
               "sgd": (Sgd, ("rate", "momentum", "nesterov"))}
@@ -193,6 +195,14 @@ def softness_of(soft: dict, side: int) -> Softness | Binned:
         return Binned(float(r), soft.get("sigma"), over=soft.get("over", True), **own)  # as targets lie over the background
     return Softness(r, soft.get("sigma"), soft.get("delta"), soft.get("layers", 1), soft.get("distance"),
                     soft.get("edges", "coverage"))
+
+
+def sampled(t: Table, mips: bool = False) -> dict:
+    """How textures are sampled: mips, and anisotropy, which is of mips alone; `mips` where the table does not say. Raises InputError."""
+    mips, anisotropy = t.flag("mips", mips), t.number("anisotropy", 1, 1, MAX_PROBES, whole=True)
+    if anisotropy > 1 and not mips:
+        raise t.conflict(f"anisotropy is {anisotropy}, but there are no mips; set mips = true, or drop it")
+    return {"mips": mips, "anisotropy": anisotropy}
 
 
 def _shadow_of(t: Table) -> Shadow | None:
