@@ -13,6 +13,7 @@ from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.functions import compose, constant
 from dressi_edge.compiler.graph.ir import image
 from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.images import srgb_to_linear
 from dressi_edge.compiler.io.materials import Material, Part, TextureMap
 from dressi_edge.compiler.io.textures import Picture
@@ -22,6 +23,7 @@ from dressi_edge.compiler.scene import (
     Adam,
     HardSoftRas,
     Loss,
+    Mesh,
     Outline,
     Problem,
     Scene,
@@ -34,6 +36,7 @@ from dressi_edge.compiler.scene import (
     load_views,
     look_at,
     save_parts,
+    sphere,
 )
 from dressi_edge.compiler.scene.job import parse_job
 
@@ -102,6 +105,83 @@ def test_what_anisotropy_cannot_be_is_named():
             Texture(t, mips=True, anisotropy=wrong)
     with pytest.raises(InputError, match="has no mips; give it mips=True, or 1"):
         Texture(t, anisotropy=2)
+
+
+# Several parts and views
+
+
+def standing(at, uvs):
+    """A wall of two faces before the floor, a corner of it towards the eye, with these texture coordinates of its corners."""
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh(np.array([[0.0, 0, 0], [0.5, 0, -3.0], [0.5, 0.8, -3.0], [0, 0.8, 0]]) + at, faces, np.asarray(uvs, float), faces)
+
+
+def crowd(cameras):
+    """A floor with mirrored coordinates, 3 samples a pixel; a ball, mips alone; walls that share the ball's texture or have the floor's
+    with other settings; one with all coordinates at a point, one on a line; textures are parameters."""
+    scene, rng, (floor, _) = Scene(cameras, background=(0.2, 0.3, 0.5)), np.random.default_rng(2), tilted()
+    ground = scene.parameter("ground", 0.1 + 0.8 * fine(64)[:48], 0.0, 1.0, kind="image")
+    waves = np.sin(np.arange(40)[:, None, None] * [1.1, 0.7, 0.4] + rng.normal(size=(40, 56, 3)))
+    skin = scene.parameter("skin", 0.5 + 0.4 * waves, 0.0, 1.0, kind="image")
+    scene.add(replace(floor, uvs=floor.uvs * [-1.7, 1.0]), material=Unlit(Texture(ground, ("mirror", "repeat"), mips=True, anisotropy=3)))
+    ball = sphere(162, 0.35)
+    scene.add(replace(ball, positions=ball.positions + [0.3, 0.4, 0.3]), material=Unlit(Texture(skin, mips=True)), name="ball")
+    square = np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]])
+    for k, (at, uvs, texture, how) in enumerate([
+            ([-0.9, 0, 0.9], square, skin, {"mips": True, "anisotropy": 4}), ([1.1, 0, 0.9], square[::-1], ground, {"mips": True}),
+            ([-0.6, 0, 0.2], square, ground, {}), ([0.8, 0, 0.2], square * 0.0 + 0.4, skin, {"mips": True, "anisotropy": 2}),
+            ([-0.2, 0, -0.8], square * [0, 1] + 0.3, skin, {"mips": True, "anisotropy": 2})]):
+        scene.add(standing(at, uvs), material=Unlit(Texture(texture, **how)), name=f"wall{k}")
+    return scene
+
+
+def two(size):
+    return [look_at(eye, [0, 0.2, -0.5], [0, 1, 0], 50, *size) for eye in ([0.3, 0.6, 2.5], [-0.5, 0.4, 2.4])]
+
+
+@pytest.mark.full
+def test_parts_that_sample_in_different_ways_stand_in_one_picture(gpu, tmp_path):
+    """Picture and gradients of both textures: device against float64, and float64 against central differences."""
+    scene = crowd(two((60, 44))[:1])
+    scene.vjp("render", ["ground", "skin"], color=scene.frame(HardSoftRas(r=1.0, delta=0.0)).color)
+    scene.compile("vulkan_min", tmp_path / "a.dressi")
+    rng = np.random.default_rng(0)
+    with ReferenceSession(scene.program) as exact, runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+        wanted, picture = (x.forward("render")["color"] for x in (exact, session))
+        off = abs(picture - wanted).max(-1)
+        assert (off > 2e-3).mean() < 2e-3 and np.median(off) < 1e-5  # what lies on an edge between two faces may be either's
+        weights = rng.normal(size=wanted.shape) * (off < 2e-3)[..., None]
+        by = [x.backward("render", color=weights) for x in (exact, session)]
+        start = {name: exact.get(name) for name in by[0]}
+        for name, g in by[0].items():
+            assert np.isfinite(by[1][name]).all() and np.linalg.norm(by[1][name] - g) < 3e-4 * np.linalg.norm(g), name
+            direction, ends = rng.normal(size=g.shape), []
+            for sign in (1, -1):
+                exact.set(name, start[name] + sign * 1e-4 * direction)
+                ends.append((exact.forward("render")["color"] * weights).sum())
+            exact.set(name, start[name])
+            assert (ends[0] - ends[1]) / 2e-4 == pytest.approx((g * direction).sum(), rel=1e-7), name
+    gpu.silent()
+
+
+def test_a_view_among_others_has_the_bits_of_one_alone(gpu, tmp_path):
+    """Pictures of 333x217, of two views together and of each alone; a wall whose coordinates are one point is one colour."""
+
+    def draw(cameras):
+        scene = crowd(cameras)
+        seen = scene.frame(HardSoftRas(r=1.0, delta=0.0))
+        scene.output("look", color=seen.color, part=seen.part)
+        scene.compile("lavapipe", tmp_path / "a.dressi")
+        with runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+            return session.get("look.color"), session.get("look.part")
+
+    cameras = two((333, 217))
+    both, part = draw(cameras)
+    for k, camera in enumerate(cameras):
+        np.testing.assert_array_equal(draw([camera])[0][0], both[k])
+    point = both[part == 5]  # wall3
+    assert len(point) > 300 and np.ptp(point, 0).max() < 1e-5
+    gpu.silent()
 
 
 # Jobs
