@@ -25,7 +25,7 @@ from dressi_edge import runtime  # noqa: E402
 from dressi_edge.compiler.graph.reference_session import ReferenceSession  # noqa: E402
 from dressi_edge.compiler.scene import Scene  # noqa: E402
 
-SLOW = {"antialiasing", "forward", "hidden"}  # minutes in NumPy: large pictures, or many faces a pixel; run where named
+SLOW = {"antialiasing", "forward", "hidden", "slant"}  # minutes in NumPy: large pictures, or many faces a pixel; run where named
 
 
 def numbers(found, name: str = "") -> Iterator[tuple[str, float]]:

@@ -9,9 +9,11 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
-SLOW = ("hidden", "inverse_rendering", "normal_map")  # a quarter of a minute each
+SLOW = ("hidden", "inverse_rendering", "normal_map", "slant")  # a quarter of a minute each
 SMALL = {  # what is given to main(), and what its numbers must say
     "antialiasing": ({"size": (80, 60), "samples": 8}, lambda r: r["contours"] > r["outline"] + 4 > r["sharp"] + 6 > r["paper_c"] + 6),
+    "slant": ({"size": 48, "texels": 128, "steps": 30}, lambda r: r["anisotropy"]["rms"] < 0.5 * r["mips"]["rms"]
+              < 0.4 * r["bilinear"]["rms"] and r["anisotropy"]["psnr"] > r["mips"]["psnr"] + 2 > r["bilinear"]["psnr"] + 3),
     "image_fit": ({"steps": 150}, lambda r: r["psnr"] > 28),
     "pose": ({"size": 64, "steps": 200}, lambda r: r["start"]["degrees"] > 25 and r["end"]["degrees"] < 1 and r["end"]["shift"] < 0.02),
     "two_objects": ({"size": 64, "steps": 150}, lambda r: min(r["start"].values()) > 0.15 and max(r["end"].values()) < 0.03),
