@@ -403,3 +403,55 @@ def test_a_real_asset_goes_in_and_comes_out(gpu, tmp_path):
     np.testing.assert_allclose(a.mesh.positions, b.mesh.positions, atol=1e-7)
     np.testing.assert_allclose(a.mesh.texture, b.mesh.texture, atol=0.51 / 255)
     check_structure(tmp_path / "out.glb")
+
+
+def test_all_maps_and_factors_go_out_and_come_back(gpu, tmp_path):
+    """Occlusion by a strength, emission beyond 1 by a picture, wraps, normals: what is read of the written file is what was; twice."""
+    g = GltfFile()
+    pictures = [g.texture(checker(4, 4, seed), sampler=g.add("samplers", {"wrapS": 33071, "wrapT": 33648})) for seed in range(5)]
+    g.add("materials", {
+        "doubleSided": True, "emissiveFactor": [0.5, 0.25, 0.125],
+        "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.25, 0.75, 1.0], "baseColorTexture": {"index": pictures[0]},
+                                 "metallicFactor": 0.75, "roughnessFactor": 0.5, "metallicRoughnessTexture": {"index": pictures[1]}},
+        "normalTexture": {"index": pictures[2], "scale": 0.5}, "occlusionTexture": {"index": pictures[3], "strength": 0.5},
+        "emissiveTexture": {"index": pictures[4]}, "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}}})
+    g.square(0, {"TEXCOORD_0": g.accessor(CORNER_UVS)}, name="wall")
+    g.json["extensionsUsed"] = ["KHR_materials_emissive_strength"]
+    path, view = g.save(tmp_path / "a.glb"), [look_at([0.5, 0.5, 2.0], [0.5, 0.5, 0.0], [0, 1, 0], 50, 24, 20)]
+    first, = load_parts(path)
+    for name in ("b.glb", "c.glb"):
+        scene = load_scene(path, view, lights=[Light("ambient", 1.0)], parameters=["wall.roughness"], mips=False)
+        scene.output("look", color=scene.frame().color)
+        scene.compile("lavapipe", tmp_path / "a.dressi")
+        with runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+            save_result(session, tmp_path / name)
+        path = tmp_path / name
+        again, = load_parts(path)
+        a, b = first.material, again.material
+        assert (a.metallic, a.roughness, a.normal_scale, a.occlusion_strength, a.double_sided) == (
+            b.metallic, b.roughness, b.normal_scale, b.occlusion_strength, b.double_sided)
+        np.testing.assert_allclose(b.base_color, a.base_color, atol=1e-7)
+        np.testing.assert_allclose(b.emissive, (2.0, 1.0, 0.5), atol=1e-7)
+        np.testing.assert_allclose(again.mesh.texture, first.mesh.texture, atol=0.51 / 255)
+        for key in ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture"):
+            one, two = getattr(a, key), getattr(b, key)
+            used = {"occlusion_texture": slice(0, 1), "metallic_roughness_texture": slice(1, 3)}.get(key, slice(0, 3))
+            np.testing.assert_allclose(two.picture.texels()[..., used], one.picture.texels()[..., used], atol=0.51 / 255, err_msg=key)
+            assert two.wrap == one.wrap == ("clamp", "mirror")
+        check_structure(path)
+
+
+def test_what_files_have_of_colours_alone_is_written_as_a_mean_and_said(gpu, tmp_path):
+    """Roughness and emission of vertices."""
+    ball, scene = icosphere(1), Scene(orbit(1, [20], 3.0, 40, (24, 20)))
+    rough = scene.parameter("rough", np.linspace(0.2, 0.6, 42), 0.0, 1.0, kind="table")
+    glow = F.constant_table(np.linspace(0.0, 0.5, 42)[:, None] * [1.0, 2.0, 4.0])
+    metal = F.constant_table(np.linspace(0.0, 1.0, 42))
+    scene.add(ball, material=PBR(0.5, Vertex(rough), Vertex(metal), emissive=Vertex(glow), lights=[Light("ambient", 1.0)]))
+    scene.output("look", color=scene.frame().color)
+    scene.compile("lavapipe", tmp_path / "a.dressi")
+    with runtime.load(tmp_path / "a.dressi", gpu.device) as session, pytest.warns(InputWarning, match="its mean is written") as noted:
+        save_result(session, tmp_path / "a.glb")
+    assert len(noted) == 3
+    m = load_parts(tmp_path / "a.glb")[0].material
+    np.testing.assert_allclose([m.roughness, m.metallic, *m.emissive], [0.4, 0.5, 0.25, 0.5, 1.0], atol=1e-6)

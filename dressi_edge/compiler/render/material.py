@@ -185,6 +185,17 @@ class Corner:
         return s.indexed(self.table, self.faces)
 
 
+@dataclass(frozen=True)
+class Occlusion:
+    """A source: the part of ambient light that arrives, by the first channel x of another one: 1 + strength (x - 1) (glTF 2.0, 3.9.3)."""
+
+    source: Source
+    strength: Source = 1.0
+
+    def __call__(self, s: Surface) -> Node:
+        return 1.0 + evaluate(self.strength, s) * (apply("swizzle", evaluate(self.source, s), channels="x") - 1.0)
+
+
 def evaluate(source: Source, surface: Surface) -> Node | float:
     """A source at a surface. Raises InputError."""
     if callable(source):

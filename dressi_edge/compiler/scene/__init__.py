@@ -34,7 +34,7 @@ from ..render.loss import (
     total_variation,
     uniform_laplacian,
 )
-from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, NormalMap, Product, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Channel, Coordinates, Corner, Lambert, NormalMap, Occlusion, Product, Texture, Unlit, Vertex
 from ..render.octahedron import octahedral, panorama
 from ..render.optimizer import Adam, AdamUniform, AdamW, Clipped, Optimizer, Scaled, Sgd, limited, state
 from ..render.pbr import PBR
@@ -48,8 +48,8 @@ from .problem import Loss, Problem
 from .scene import Scene
 
 __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Channel", "Clipped", "Coordinates", "Corner",
-           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Masks", "Mesh", "NormalMap", "Optimizer",
-           "Outline", "PBR", "Problem", "Product", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness",
+           "Environment", "F", "HardSoftRas", "Lambert", "LargeSteps", "Light", "Loss", "Masks", "Mesh", "NormalMap", "Occlusion",
+           "Optimizer", "Outline", "PBR", "Problem", "Product", "Renderer", "Scaled", "Scene", "Schedule", "Sgd", "Shadow", "Softness",
            "Subdivision", "Surface", "Texture", "Tone", "Unlit", "Vertex", "Views", "blend_shapes", "charbonnier", "check_op",
            "corner_normals", "cotangent_laplacian", "decode_srgb", "depth_loss", "edge_length", "encode_srgb", "face_points",
            "huber", "icosphere", "l1", "l2", "landmarks", "limited", "linear_mesh", "linear_model", "load_mesh", "load_panorama",

@@ -22,7 +22,7 @@ from ..io.materials import Part, TextureMap
 from ..io.meshes import load_parts
 from ..io.pieces import listed
 from ..render.light import Light, Shadow
-from ..render.material import Channel, Coordinates, Corner, NormalMap, Product, Texture, Unlit, Vertex
+from ..render.material import Channel, Coordinates, Corner, NormalMap, Occlusion, Product, Texture, Unlit, Vertex
 from ..render.pbr import PBR
 from ..render.tone import encode_srgb
 from .scene import Scene
@@ -145,8 +145,7 @@ class _Builder:
             roughness, metallic = _product([Channel(packed, "y")], roughness), _product([Channel(packed, "z")], metallic)
         more = {}
         if (occlusion := self._map(part, f"{name}.occlusion_texture", m.occlusion_texture)) is not None:
-            strength = m.occlusion_strength
-            more["occlusion"] = lambda s: 1.0 + strength * (Channel(occlusion, "x")(s) - 1.0)
+            more["occlusion"] = Occlusion(occlusion, m.occlusion_strength)
         glow = self._map(part, f"{name}.emissive_texture", m.emissive_texture, True)
         if any(m.emissive):
             emissive = self._number(f"{name}.emissive", m.emissive, 0.0, None)

@@ -17,7 +17,7 @@ from ..io.images import linear_to_srgb, png_bytes, srgb_to_linear
 from ..io.materials import Material, TextureMap
 from ..io.mesh import Mesh
 from ..io.textures import Picture
-from ..render.material import Channel, Coordinates, Corner, NormalMap, Product, Texture, Unlit, Vertex, moved
+from ..render.material import Channel, Coordinates, Corner, NormalMap, Occlusion, Product, Texture, Unlit, Vertex, moved
 from ..render.pbr import PBR
 from ..render.texture import wraps_of
 
@@ -49,6 +49,9 @@ def described(material, names: Mapping[Node, str]) -> dict:
         found = {key: _source(getattr(material, key), names) for key in FIELDS}
         if isinstance(material.normal, NormalMap):
             found |= {"normal": _source(material.normal.source, names), "normal_scale": _source(material.normal.scale, names)}
+        if isinstance(material.occlusion, Occlusion):
+            found |= {"occlusion": _source(material.occlusion.source, names),
+                      "occlusion_strength": _source(material.occlusion.strength, names)}
         return {"kind": "pbr", "two_sided": material.two_sided, **found}
     if isinstance(material, Unlit) and isinstance(material.color, (Product, Texture)):
         return {"kind": "unlit", "color": _source(material.color, names)}
@@ -100,7 +103,8 @@ def _table(table: Node, names: Mapping[Node, str]):
         return names[table]
     if table.op.name != "constant":
         return {}
-    return pack(table.attrs["data"].array.reshape(-1, table.channels)[:table.extent.count], "<f8")
+    array = table.attrs["data"].array.reshape(-1, table.channels)[:table.extent.count]
+    return pack(array if table.channels > 1 else array[:, 0], "<f8")
 
 
 # ---- and back
@@ -157,6 +161,22 @@ class Sources:
                     return values, unpack(x["faces"], f"{self.where}.{key}.faces", "<i4", 3) if kind == "corners" else None
         return None
 
+    def mean(self, key: str, count: int) -> np.ndarray:
+        """(count,) of a source that is of vertices or corners: the mean over them, which is what a file can have of it; ones of others."""
+        total = np.ones(count)
+        for x in self._flat(key):
+            inner, channels = (x["of"], x["channel"]) if "of" in x else (x, "xyzw")
+            table = inner.get("vertices", inner.get("corners")) if isinstance(inner, Mapping) else None
+            if table is None:
+                continue
+            shape = table.get("shape") if isinstance(table, Mapping) else None
+            columns = shape[1] if isinstance(shape, list) and len(shape) == 2 and shape[1] in (2, 3, 4) else 1
+            values = self.value(table) if isinstance(table, str) else unpack(table, f"{self.where}.{key}", "<f8", columns)
+            means = np.asarray(values, float).reshape(len(values), -1).mean(0)
+            total = total * [means[k] for k in map("xyzw".find, channels) if 0 <= k < len(means)]
+            note(f"{self.where}.{key} is of vertices or corners, which files have of colours alone; its mean is written")
+        return total
+
     def texels(self, found: Mapping, encoded: bool) -> np.ndarray:
         """(h, w, c) of a texture: sRGB encoded, or as it is sampled."""
         image, srgb = found["texture"], bool(found.get("srgb"))
@@ -210,17 +230,19 @@ class Sources:
 
     def _physical(self, m: Material, name: str) -> Material:
         rough, metal = self.textures("roughness"), self.textures("metallic")
-        m = replace(m, roughness=_one(self.factor("roughness", 1)), metallic=_one(self.factor("metallic", 1)))
+        m = replace(m, **{key: _one(self.factor(key, 1) * self.mean(key, 1)) for key in ("roughness", "metallic")})
         if rough or metal:
             m = replace(m, metallic_roughness_texture=self._packed(rough, metal, name))
         if found := self.textures("occlusion"):
             texels = self._channel(*found[0])
-            m = replace(m, occlusion_texture=self.map(found[0][0], np.repeat(texels, 3, -1), f"{name} occlusion"))
+            strength = _one(self.factor("occlusion_strength", 1)) if "occlusion_strength" in self.entry else 1.0
+            m = replace(m, occlusion_texture=self.map(found[0][0], np.repeat(texels, 3, -1), f"{name} occlusion"),
+                        occlusion_strength=strength)
         if "normal" in self.entry and (found := self.textures("normal")):
             m = replace(m, normal_texture=self.map(found[0][0], self.texels(found[0][0], False), f"{name} normals"),
                         normal_scale=float(self.factor("normal_scale", 1)[0]))
         glow = self.textures("emissive")
-        emissive = self.factor("emissive", 3)
+        emissive = self.factor("emissive", 3) * self.mean("emissive", 3)
         m = replace(m, emissive=tuple(float(max(x, 0.0)) for x in emissive))
         if glow:
             m = replace(m, emissive_texture=self.map(glow[0][0], self.texels(glow[0][0], True), f"{name} emission"))
