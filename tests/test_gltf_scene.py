@@ -25,12 +25,14 @@ from dressi_edge.compiler.scene import (
     PBR,
     Adam,
     Channel,
+    Environment,
     F,
     HardSoftRas,
     Light,
     Product,
     Scene,
     Texture,
+    Tone,
     Unlit,
     Vertex,
     encode_srgb,
@@ -265,6 +267,48 @@ def test_run_writes_lights_and_cameras_where_it_is_asked_to(gpu, tmp_path, capsy
     capsys.readouterr()
     assert cli.main(["run", str(tmp_path / "a.dressi"), "-o", str(tmp_path / "out.ply"), "--scene"]) == 3
     assert "--scene writes lights and cameras into glTF" in capsys.readouterr().err
+
+
+SKY = {"radiance": [0.5, 0.75, 1.0], "size": 16, "rotation": [0.1, 0.2, 0.3], "strength": 1.5}
+
+
+def test_a_job_lights_a_file_by_a_panorama_and_shows_it_through_a_curve(gpu, tmp_path):
+    """Against the same in Python, to the bit; map, strength and exposure are found of what phases name."""
+    whole = job(tmp_path, environment=SKY, render={"tone": {"curve": "aces", "exposure": 0.25}})
+    whole["phase"][0]["optimize"] = {name: {"rate": 0.01} for name in ("environment.map", "environment.strength", "exposure", "pot.color")}
+    whole["phase"][0]["loss"] = [{"kind": "color"}]
+    said = parse_job(whole, tmp_path / "job.toml")
+    assert set(said.scene.parameters) == {"environment.map", "environment.strength", "exposure", "pot.color"}
+    around = Environment(np.full((16, 16, 3), 1.0) * SKY["radiance"], tuple(SKY["rotation"]), 1.5)
+    hand = load_scene(tmp_path / "pot.glb", said.scene.cameras, parameters=["environment.[ms]*", "exposure", "pot.color"],
+                      environment=around, encode=Tone("aces", 0.25))
+    assert hand.surroundings is not None and hand.parts[0].material.environment is hand.surroundings
+    hand.output("look", color=hand.frame(HardSoftRas(1.0, delta=0.0)).color)
+    with runtime.load(gpu.compile(said.program), gpu.device) as a, runtime.load(gpu.compile(hand.program), gpu.device) as b:
+        np.testing.assert_array_equal(a.get("render.color")[..., :3], b.get("look.color"))
+        before = a.loss()
+        a.step(2, "fit")
+        assert a.loss() < before and a.get("environment.map").std() > 0
+    gpu.silent()
+    dark = load_scene(tmp_path / "pot.glb", said.scene.cameras, environment=around, shown=False)
+    assert dark.surroundings is None and not dark.parameters and dark.parts[0].material.environment is around
+
+
+def test_environments_of_files_that_cannot_be_are_named(tmp_path):
+    whole = job(tmp_path, environment={"radiance": [1, 1, 1], "size": 50})
+    with pytest.raises(InputError, match="environment.size is 50; allowed: 16 32"):
+        parse_job(whole, tmp_path / "job.toml")
+    with pytest.raises(InputError, match="render.tone.curve is 'bright'; allowed: linear reinhard aces filmic"):
+        parse_job(job(tmp_path, render={"tone": {"curve": "bright"}}), tmp_path / "job.toml")
+    save_parts(tmp_path / "sign.glb", [Part("sign", icosphere(1), Material("m", unlit=True))])
+    around = Environment(np.ones((16, 16, 3)))
+    with pytest.raises(InputError, match="environment is given, but all parts are unlit, and it is not shown; drop it"):
+        load_scene(tmp_path / "sign.glb", VIEW, environment=around, shown=False)
+    own = Scene(VIEW).parameter("sky", np.ones((16, 16, 3)), kind="image")
+    with pytest.raises(InputError, match="the environment's map is no array; give one, and name environment.map among the parameters"):
+        load_scene(tmp_path / "pot.glb", VIEW, environment=Environment(own))
+    with pytest.raises(InputError, match="'environment.map' is nothing of it"):
+        load_scene(tmp_path / "pot.glb", VIEW, parameters=["environment.map"])
 
 
 # Results out

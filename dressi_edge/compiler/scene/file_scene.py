@@ -21,10 +21,11 @@ from ..io.images import srgb_to_linear
 from ..io.materials import Part, TextureMap
 from ..io.meshes import load_parts
 from ..io.pieces import listed
+from ..render.environment import Environment
 from ..render.light import Light, Shadow
 from ..render.material import Channel, Coordinates, Corner, NormalMap, Occlusion, Product, Texture, Unlit, Vertex
 from ..render.pbr import PBR
-from ..render.tone import encode_srgb
+from ..render.tone import Tone, encode_srgb
 from .scene import Scene
 
 NAME = re.compile(r"\W+", re.ASCII)
@@ -32,14 +33,16 @@ NAME = re.compile(r"\W+", re.ASCII)
 
 def load_scene(path: str | Path, cameras: Sequence[Camera] = (), size: tuple[int, int] = (512, 512), *, parameters: Sequence[str] = (),
                lights: Sequence[Light] | None = None, mips: bool = True, background=(0.0, 0.0, 0.0), encode=encode_srgb,
-               anisotropy: int = 1) -> Scene:
+               anisotropy: int = 1, environment: Environment | None = None, shown: bool = True) -> Scene:
     """The scene of a .gltf or .glb file: every part with its material (PBR, or Unlit for KHR_materials_unlit), its lights and, unless
     others are given, its cameras for pictures of `size` = (width, height).
 
     parameters: patterns ("*", "pot.*") of what phases may optimize, the rest being constant: `<part>.vertices`, `.color`, `.metallic`,
     `.roughness`, `.emissive`, `.texture` (of the base colour, linear), `.metallic_roughness_texture` (green: roughness, blue: metallic),
     `.normal_texture`, `.occlusion_texture`, `.emissive_texture`, `.colors` (of vertices or corners, linear); `light<k>.power`, ...
-    A part's name is its node's, of letters, digits and _. lights: in place of the file's; where it has none, a white ambient one.
+    A part's name is its node's, of letters, digits and _. lights: in place of the file's; where it has none, and there is no environment,
+    a white ambient one. environment: a map that is an array, for PBR, and behind all if `shown`; `environment.map`, `.rotation` and
+    `.strength` may be parameters, and so may `exposure` where encode is a `Tone`.
     mips, anisotropy: of all textures, as in `Texture`. What is not drawn (transparency) is noted. Raises InputError, naming the file."""
     path = Path(path)
     if not cameras:
@@ -48,8 +51,14 @@ def load_scene(path: str | Path, cameras: Sequence[Camera] = (), size: tuple[int
         cameras, _ = gltf_cameras(path, *size)
     builder = _Builder(Scene(cameras, background, encode), tuple(parameters), {"mips": mips, "anisotropy": anisotropy})
     builder.lights = builder.lit([light_of(x) for x in gltf_lights(path)] if lights is None else list(lights))
+    builder.surround(environment, shown)
+    if isinstance(encode, Tone):
+        builder.scene.encode = replace(encode, exposure=builder.exposure(encode.exposure))
     parts = load_parts(path)
-    if not builder.lights and any(not part.material.unlit for part in parts):
+    lit = any(not part.material.unlit for part in parts)
+    if environment is not None and not (lit or shown):
+        raise InputError(f"{path}: environment is given, but all parts are unlit, and it is not shown; drop it")
+    if not builder.lights and environment is None and lit:
         note(f"{path} has no light; a white ambient one of radiance 1 is used")
         builder.lights = [Light("ambient", 1.0)]
     for part, name in zip(parts, names_of(parts)):
@@ -87,6 +96,7 @@ class _Builder:
         self.scene, self.patterns, self.how = scene, patterns, how
         self.asked: dict[str, None] = {}
         self.lights: list[Light] = []
+        self.environment: Environment | None = None
 
     def _wanted(self, name: str) -> bool:
         self.asked[name] = None
@@ -102,6 +112,26 @@ class _Builder:
                     own[key] = self.scene.parameter(f"light{k}.{key}", getattr(light, key))
             out.append(replace(light, **own))
         return [self.scene.shadow(light) if isinstance(light.shadow, Shadow) else light for light in out]
+
+    def surround(self, environment: Environment | None, shown: bool) -> None:
+        """Light of all parts, and what is behind them. Raises InputError."""
+        if environment is None:
+            return
+        if environment.map.op.name != "constant":
+            raise InputError("the environment's map is no array; give one, and name environment.map among the parameters")
+        array, own = environment.map.attrs["data"].array, {}
+        if self._wanted("environment.map"):
+            own["map"] = self.scene.parameter("environment.map", array, 0.0, kind="image")
+            own["gradient"] = None
+        for key, low in (("rotation", None), ("strength", 0.0)):
+            if self._wanted(f"environment.{key}"):
+                own[key] = self.scene.parameter(f"environment.{key}", getattr(environment, key), low)
+        self.environment = replace(environment, **own)
+        self.scene.surroundings = self.environment if shown else None
+
+    def exposure(self, stops):
+        """In stops, of the picture."""
+        return self._number("exposure", stops, None, None)
 
     def _number(self, name: str, value, low: float | None = 0.0, high: float | None = 1.0):
         return self.scene.parameter(name, value, low, high) if self._wanted(name) else value
@@ -151,7 +181,7 @@ class _Builder:
             emissive = self._number(f"{name}.emissive", m.emissive, 0.0, None)
             more["emissive"] = emissive if glow is None else _product([glow], emissive)
         more |= self._normal(part, name)
-        return PBR(color, roughness, metallic, lights=self.lights, two_sided=m.double_sided, **more)
+        return PBR(color, roughness, metallic, lights=self.lights, environment=self.environment, two_sided=m.double_sided, **more)
 
     def _normal(self, part: Part, name: str) -> dict:
         """The map of normals, along tangents of the mesh's own texture coordinates."""

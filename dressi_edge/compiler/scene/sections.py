@@ -243,6 +243,10 @@ class Surroundings:
     strength: float
     shown: bool
 
+    def made(self) -> Environment:
+        """The environment, of which nothing is optimized."""
+        return Environment(self.load(), self.rotation, self.strength)
+
     def into(self, scene, optimized: set[str]) -> Environment:
         """The environment, with parameters for what is optimized."""
         own = {key: scene.parameter(f"environment.{key}", x, low) if f"environment.{key}" in optimized else x
