@@ -126,7 +126,7 @@ class _Builder:
         for key, low in (("rotation", None), ("strength", 0.0)):
             if self._wanted(f"environment.{key}"):
                 own[key] = self.scene.parameter(f"environment.{key}", getattr(environment, key), low)
-        self.environment = replace(environment, **own)
+        self.environment = replace(environment, **own) if own else environment
         self.scene.surroundings = self.environment if shown else None
 
     def exposure(self, stops):
