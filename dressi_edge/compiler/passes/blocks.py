@@ -117,8 +117,7 @@ class _Body:
             flag = apply("differs", s, apply("lookup", s, first))
             alone = flag if alone is None else apply("bit_or", alone, flag)
         levels = how.levels(alone)
-        heads = how.heads(levels)
-        found = compact(heads, 1, columns(heads.extent.width * heads.extent.height, rows))
+        found = compact(how.heads(levels), 1, columns(extent.width * extent.height, rows))
         listed = found.entries.extent
         enter: dict[Node, Node] = {}
 
@@ -127,11 +126,11 @@ class _Body:
             enter[leaf] = n
             return leaf
 
-        copies, corner = {}, how.corner(found.entries)
+        copies = {}
         for key, s in self.moments.items():
             copies[key] = intern(s.op, (), {**s.attrs, "name": f"{name}.{key}", "extent": listed}, s.vtype, listed)
-            enter[copies[key]] = apply("lookup", s, corner)
-        total, put = keep(found.total), keep(how.part(levels, found.slots) + 1)  # from 1 on, which says that all are given back
+            enter[copies[key]] = apply("lookup", s, found.entries)
+        total, put = keep(found.total), keep(apply("lookup", found.slots, how.first(levels)) + 1)  # from 1 on, which says that all are given back
         part = put - 1
         near, coarse = map(keep, how.places(found.entries))
         inside = {self.gradient: how.gradient(near, coarse), **{s: copies[key] for key, s in self.moments.items()}}

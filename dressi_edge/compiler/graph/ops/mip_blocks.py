@@ -40,16 +40,8 @@ class Blocks:
         return apply("mip_first", levels, **self._size)
 
     def heads(self, levels: Node) -> Node:
-        """1 for each block, 0 for what is none, of as many as there can be."""
+        """1 for each texel that is the first one of its block, 0 for the others."""
         return apply("mip_heads", levels, **self._size)
-
-    def part(self, levels: Node, slots: Node) -> Node:
-        """Of each texel where its block stands in a list; slots: where `heads` do."""
-        return apply("mip_part", levels, slots, **self._size)
-
-    def corner(self, entries: Node) -> Node:
-        """Of each block of a list the number of its first texel."""
-        return apply("mip_corner", entries, **self._size)
 
     def places(self, entries: Node) -> tuple[Node, Node]:
         """From where the blocks of a list have their gradient."""
@@ -179,59 +171,21 @@ op("mip_first", "levels", attrs="width height", cost=10, ref=_first_ref, infer=_
 
 
 def _heads_ref(levels, width, height):
-    p = Pyramid(width, height)
-    e = numbered(p)
-    out = np.zeros((e.width * e.height, 1), np.int64)
-    for level in range(p.last + 1):
-        p.texels(out, level)[:] = levels[::1 << level, ::1 << level] == level
-    return out.reshape(e.height, e.width, 1)
+    return (_first_ref(levels, width, height)[..., 0] == np.arange(width * height).reshape(height, width)).astype(np.int64)[..., None]
 
 
-def _heads_infer(name, inputs, attrs):
-    _of_texture(name, inputs, attrs)
-    return "int", numbered(Pyramid(attrs["width"], attrs["height"]))
-
-
-op("mip_heads", "levels", attrs="width height", reads="texel", cost=40, ref=_heads_ref, infer=_heads_infer,
-   glsl=lambda node: "{ int q_ = {i}; " + found(node) + " int in_ = int(a_.y < z_.y); a_.y = min(a_.y, z_.y - 1);\n"
-   "    {y} = {levels}(a_ << m_) == m_ ? in_ : 0; }",
-   sample=lambda rng: ([_levels(rng)], dict(SIZE)), doc="1 for each texel of all levels that is a block.")
-
-
-def _part_ref(levels, slots, width, height):
-    p, out = Pyramid(width, height), np.zeros((height, width), np.int64)
-    for level in range(p.last + 1):
-        out = np.where(levels[..., 0] == level, _over(p.texels(slots.reshape(-1, 1), level)[..., 0], level, p), out)
-    return out[..., None]
-
-
-op("mip_part", "levels slots", attrs="width height", reads="own texel", cost=20, ref=_part_ref, infer=_of_all("int", True),
-   glsl=lambda node: f"{{ {_pyramid(node).glsl} int m_ = {{levels}}; ivec2 a_ = {{p}} >> m_;\n"
-   "    {y} = {slots_at}(o_[m_] + a_.y * (({width} + (1 << m_) - 1) >> m_) + a_.x); }",
-   sample=lambda rng: ([_levels(rng), rng.integers(0, 99, _numbered_shape())], dict(SIZE)),
-   doc="Where in a list the block of each texel of a texture stands; slots: where the texels of all levels do.")
+op("mip_heads", "levels", attrs="width height", cost=10, ref=_heads_ref, infer=_of_texture, sample=lambda rng: ([_levels(rng)], dict(SIZE)),
+   glsl="{y} = int({p} >> {levels} << {levels} == {p});", doc="1 for each texel of a texture that is the first one of its block.")
 
 
 # ---- what the blocks of a list get
 
 def _corners(entries, p: Pyramid):
-    level, x, y = p.find(np.clip(entries[..., 0], 0, p.starts[-1] - 1))
-    return x << level, y << level
+    q = np.clip(entries[..., 0], 0, p.width * p.height - 1)
+    return q % p.width, q // p.width
 
 
-def _corner_ref(entries, width, height):
-    x, y = _corners(entries, Pyramid(width, height))
-    return (y * width + x)[..., None]
-
-
-def _entry(node: Node) -> str:
-    """GLSL that finds the first texel a_ of the block that is an entry."""
-    return f"int q_ = clamp({{entries}}, 0, {_pyramid(node).starts[-1] - 1}); {found(node)} a_ <<= m_;"
-
-
-op("mip_corner", "entries", attrs="width height", cost=30, ref=_corner_ref, infer=_of_entries("int"),
-   glsl=lambda node: "{ " + _entry(node) + " {y} = a_.y * {width} + a_.x; }", sample=lambda rng: ([Chain(rng).texels], dict(SIZE)),
-   doc="Of each block of a list the number of its first texel, row by row.")
+_ENTRY = "int q_ = clamp({entries}, 0, {width} * {height} - 1); ivec2 a_ = ivec2(q_ % {width}, q_ / {width});"
 
 
 def _near_ref(entries, slots, width, height):
@@ -246,7 +200,7 @@ def _near_ref(entries, slots, width, height):
 def _near_glsl(node: Node) -> str:
     p = _pyramid(node)
     at = [f"{{slots_at}}(o_[{k}] + (a_.y >> {k}) * {p.size(k)[0]} + (a_.x >> {k}))" if k < min(FOLD, p.last) else "-1" for k in range(4)]
-    return "{ " + _entry(node) + f" {{y}} = ivec4({', '.join(at)}); }}"
+    return f"{{ {p.glsl} {_ENTRY} {{y}} = ivec4({', '.join(at)}); }}"
 
 
 op("mip_near", "entries slots", attrs="width height", reads="own texel", cost=60, ref=_near_ref, infer=_of_all("ivec4", False),
@@ -262,7 +216,7 @@ def _coarse_ref(entries, width, height):
 
 def _coarse_glsl(node: Node) -> str:
     level = min(FOLD, _pyramid(node).last)
-    return "{ " + _entry(node) + f" {{y}} = (a_.y >> {level}) * {_pyramid(node).size(level)[0]} + (a_.x >> {level}); }}"
+    return f"{{ {_ENTRY} {{y}} = (a_.y >> {level}) * {_pyramid(node).size(level)[0]} + (a_.x >> {level}); }}"
 
 
 op("mip_coarse", "entries", attrs="width height", cost=30, ref=_coarse_ref, infer=_of_entries("int"), glsl=_coarse_glsl,
