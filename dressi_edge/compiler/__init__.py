@@ -26,7 +26,7 @@ from .graph import ops as _ops  # noqa: F401  (fills the op table)
 from .graph.program import Program
 from .passes.bands import banded
 from .passes.blocks import find_blocks, late
-from .passes.columns import tall
+from .passes.columns import laid
 from .passes.compute import choose as choose_compute
 from .passes.compute import find_compute, room
 from .passes.domains import find_domains
@@ -102,13 +102,13 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     groups = checked("simplified", lowered(grouped(program), room(kind, profile)))
     groups = written = checked("banded", banded(groups, program))  # kept, so that lists which are made again are known to be the same
     rows = options.rows or rows_of(profile)
-    groups = tuple(tall(group, rows) for group in groups)
+    groups = tuple(laid(group, rows) for group in groups)
     if options.lists is not None:
         for find in (find_lists, find_blocks):
             groups = tuple(find(group, program, rows, options.lists) for group in groups)
     groups = tuple(map(late, groups))
     if options.cache and not options.naive:
-        groups = checked("listed", tuple(tall(find_still(group), rows) for group in groups))
+        groups = checked("listed", tuple(laid(find_still(group), rows) for group in groups))
         del written
         groups = checked("ordered", tuple(in_order(group, program, profile) for group in groups))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))

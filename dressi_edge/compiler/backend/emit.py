@@ -77,12 +77,18 @@ def hardware_filter(node: Node, profile: Profile) -> bool:
     return profile.format_has(format_of(node), "filter")
 
 
-def _place(i: str, column: int, height: int) -> tuple[str, str]:
-    """Column and row of an index, by shifts where they do: drivers divide negative numbers, too."""
-    if (column & (column - 1), height & (height - 1)) == (0, 0):
-        low, high = column.bit_length() - 1, (column * height).bit_length() - 1
-        return f"{i} >> {high} << {low} | {i} & {column - 1}", f"{i} >> {low} & {height - 1}"
-    return f"{i} / {column * height} * {column} + {i} % {column}", f"{i} / {column} % {height}"
+MANY = 8  # columns of a list, from which on a division finds one sooner than comparisons
+
+
+def _place(i: str, column: int, height: int, columns: int = 1) -> tuple[str, str]:
+    """Column and row of an index, by shifts and comparisons where they do: drivers divide negative numbers, too."""
+    if column & (column - 1) or columns > MANY:
+        return f"{i} / {column * height} * {column} + {i} % {column}", f"{i} / {column} % {height}"
+    low = column.bit_length() - 1
+    if height & (height - 1) == 0:
+        return f"{i} >> {(column * height).bit_length() - 1} << {low} | {i} & {column - 1}", f"{i} >> {low} & {height - 1}"
+    which = " + ".join(f"int({i} >= {k * column * height})" for k in range(1, columns)) or "0"
+    return f"({i} & {column - 1}) + {column} * ({which})", f"({i} >> {low}) - {height} * ({which})"
 
 
 class _Emitter:
@@ -153,7 +159,7 @@ class _Emitter:
         if e.height == 1:
             return f"ivec2({'i' if i == '(i)' else i}, 0)"
         if e.column < e.width:
-            x, y = _place(i, e.column, e.height)
+            x, y = _place(i, e.column, e.height, e.width // e.column)
             return f"ivec2({x}, {y})"
         if e.width & (e.width - 1) == 0:
             return f"ivec2({i} & {e.width - 1}, {i} >> {e.width.bit_length() - 1})"

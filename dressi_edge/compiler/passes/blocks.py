@@ -130,8 +130,8 @@ class _Body:
         for key, s in self.moments.items():
             copies[key] = intern(s.op, (), {**s.attrs, "name": f"{name}.{key}", "extent": listed}, s.vtype, listed)
             enter[copies[key]] = apply("lookup", s, found.entries)
-        total, put = keep(found.total), keep(apply("lookup", found.slots, how.first(levels)) + 1)  # from 1 on, which says that all are given back
-        part = put - 1
+        total, put = keep(found.total), keep(apply("lookup", found.slots, how.first(levels)) + 1)
+        part = put - 1  # `put` is from 1 on, which says that all are given back
         near, coarse = map(keep, how.places(found.entries))
         inside = {self.gradient: how.gradient(near, coarse), **{s: copies[key] for key, s in self.moments.items()}}
 

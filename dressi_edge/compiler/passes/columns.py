@@ -1,31 +1,47 @@
-"""Long lists in as few columns as a profile has rows for: what is near in number is then near in memory.
+"""Lists as a profile has room for them, and each once.
 
-In: the plans of a `Group`. Out: the same; a list that an op laid in several columns of as many rows as every device has
-(`ops/mip_lists.py: columns`) lies in fewer, longer ones. The numbers are the same.
+In: the plans of a `Group`. Out: the same. A list that an op laid in several columns of as many rows as every device has
+(`ops/mip_lists.py: columns`) lies in fewer, longer ones, so that what is near in number is near in memory. Lists that are made alike, one
+before and one after a pass rewrote what they list, are one, the older. The numbers are the same.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from ..graph.ir import COLUMN, Extent, Node, intern, rebuild, topological
+from ..graph.ir import COLUMN, Extent, Node, intern, rebuild
 from ..graph.ops.mip_lists import MAX_SIDE, columns
 from .groups import Group
 
 
-def tall(group: Group, rows: int) -> Group:
+def laid(group: Group, rows: int) -> Group:
     """The plans of a group with lists in images of at most so many rows."""
-    long: dict[Extent, Extent] = {}
     roots = [root for roots in group.roots for root in roots]
-    for n in topological(roots):
-        e = n.extent
-        if e.partial and e.column == COLUMN < e.width and e.height == MAX_SIDE < rows and e.count == e.width * e.height:
-            long[e] = replace(columns(e.count, rows), partial=e.partial)
-    if not long:
-        return group
 
-    def laid(n: Node, inputs: tuple[Node, ...]) -> Node:
-        attrs = {k: long.get(x, x) if isinstance(x, Extent) else x for k, x in n.attrs.items()}
-        return intern(n.op, inputs, attrs, n.vtype, long.get(n.extent, n.extent))
+    def tall(e: Extent) -> Extent:
+        long = MAX_SIDE < rows and COLUMN < e.width and e == replace(columns(e.count), partial=e.partial)
+        return replace(columns(e.count, rows), partial=e.partial) if long else e
 
-    new = rebuild(roots, laid)
+    def written(n: Node, inputs: tuple[Node, ...], number: Callable[[int], int]) -> tuple:
+        """What `intern` takes, with the lists' numbers."""
+        def extent(e: Extent) -> Extent:
+            return replace(tall(e), partial=number(e.partial)) if e.partial else e
+
+        attrs = {key: extent(x) if isinstance(x, Extent) else number(x) if key == "partial" else x for key, x in n.attrs.items()}
+        return n.op, inputs, attrs, n.vtype, extent(n.extent)
+
+    numbers: dict[int, int] = {}
+    made: dict[Node, int] = {}
+
+    def find(n: Node, inputs: tuple[Node, ...]) -> Node:
+        """Rewrites with the number of the first list that is made alike; the least takes its place in the end."""
+        own = n.extent.partial
+        if own and own not in numbers:  # what makes the list, for its inputs come first
+            alone = intern(*written(n, inputs, lambda x: 0 if x == own else numbers[x]))
+            numbers[own] = made.setdefault(alone, own)
+        return intern(*written(n, inputs, numbers.__getitem__))
+
+    rebuild(roots, find)
+    least = {first: min(own for own, x in numbers.items() if x == first) for first in set(numbers.values())}
+    new = rebuild(roots, lambda n, inputs: intern(*written(n, inputs, lambda x: least[numbers[x]])))
     return replace(group, roots=tuple(tuple(new[root] for root in roots) for roots in group.roots))

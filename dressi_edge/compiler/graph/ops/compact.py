@@ -118,14 +118,7 @@ def _slot_ref(flags, entries, running, each):
     return np.where(flags.reshape(-1) != 0, slot, -1).reshape(flags.shape)
 
 
-def _slot_infer(name, inputs, attrs):
-    flags, entries, _ = inputs
-    if entries.extent.count < flags.extent.count:
-        raise GraphError(f"{name}: the list {entries!r} has no room for all of {flags!r}")
-    return "int", flags.extent
-
-
-op("slot_of", "flags entries running", infer=_slot_infer, reads="own texel texel",
+op("slot_of", "flags entries running", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="own texel texel",
    ref=_slot_ref, cost=16,
    glsl="""{ int low_ = 0, high_ = {flags} != 0 ? {running}(ivec2({running_w} - 1, {running_h} - 1)) / {each} : 0;
   while (low_ < high_) { int mid_ = (low_ + high_) >> 1; if ({entries_at}(mid_) < {i}) low_ = mid_ + 1; else high_ = mid_; }
@@ -173,7 +166,7 @@ def count_set(flags: Node) -> Node:
 
 def compact(flags: Node, each: int, extent: Extent | None = None) -> Compact:
     """The list of the entries of an int table or image that are 1 (the others 0), a table unless `extent` says how it lies; a draw has
-    `each` vertices an entry."""
+    `each` vertices an entry. An extent with room for fewer than all says that no more are ever set."""
     extent = replace(extent or table(flags.extent.count), partial=flags.serial)
     levels = [flags]
     while levels[-1].extent.count > CHUNK * CHUNK:

@@ -35,14 +35,11 @@ def numbered(p: Pyramid) -> Extent:
 
 
 def columns(count: int, most: int = MAX_SIDE) -> Extent:
-    """Room for a list of so many entries: one column of 64 texels, or several of 2^k rows, at most `most`, so that a place is had by
-    shifts alone."""
+    """Room for a list of so many entries: one column of 64 texels, or as few as there can be with at most so many rows."""
     rows = -(-count // COLUMN)
-    if rows <= most:
-        return Extent(COLUMN, rows, COLUMN * rows)
-    high = 1 << most.bit_length() - 1
-    wide = -(-rows // high) * COLUMN
-    return Extent(wide, high, wide * high)
+    wide = -(-rows // most)
+    rows = -(-rows // wide)
+    return Extent(COLUMN * wide, rows, COLUMN * wide * rows)
 
 
 def run_length(reads: int, texels: int) -> int:
@@ -75,7 +72,7 @@ def reads_of(p: Pyramid, uv: Node, lod: Node, covered: Node, wrap: tuple[str, st
     runs = compact(starts, 1, columns(starts.extent.count))
     spans = apply("mip_spans", runs.entries, runs.total, asked.total)
     cells = apply("listed_bins", lookup(ordered, apply("swizzle", spans, channels="x")), runs.total, extent=places)
-    touched = compact(apply("mip_touched", cells, **size), 1, columns(cells.extent.count))
+    touched = compact(apply("mip_touched", cells, **size), 1, columns(min(cells.extent.count, 4 * footprint.extent.count)))
     return Reads(apply("mip_reads", ordered, footprint, lod, **size), spans, cells, touched)
 
 
