@@ -14,9 +14,9 @@ from dataclasses import replace
 
 from ..graph.ir import UNIT, Node, intern, is_int, rebuild, topological
 from ..graph.ops.compact import compact
-from ..graph.ops.mip_lists import columns
 from ..graph.optable import OWN, apply
 from ..graph.program import Program
+from .columns import fewest
 from .groups import Group, Lists, on_copies
 from .lists import MAX_TEXELS
 from .simplify import simplify
@@ -117,7 +117,7 @@ class _Body:
             flag = apply("differs", s, apply("lookup", s, first))
             alone = flag if alone is None else apply("bit_or", alone, flag)
         levels = how.levels(alone)
-        found = compact(how.heads(levels), 1, columns(extent.width * extent.height, rows))
+        found = compact(how.heads(levels), 1, fewest(extent.width * extent.height, rows))
         listed = found.entries.extent
         enter: dict[Node, Node] = {}
 

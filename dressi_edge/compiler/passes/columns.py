@@ -10,8 +10,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ..graph.ir import COLUMN, Extent, Node, intern, rebuild
-from ..graph.ops.mip_lists import MAX_SIDE, columns
+from ..graph.ops.mip_lists import columns
 from .groups import Group
+
+
+def fewest(count: int, most: int) -> Extent:
+    """Room for so many entries in as few columns of 64 texels as there can be with at most so many rows, all of one length."""
+    rows = -(-count // COLUMN)
+    wide = -(-rows // most)
+    rows = -(-rows // wide)
+    return Extent(COLUMN * wide, rows, COLUMN * wide * rows)
 
 
 def laid(group: Group, rows: int) -> Group:
@@ -19,8 +27,8 @@ def laid(group: Group, rows: int) -> Group:
     roots = [root for roots in group.roots for root in roots]
 
     def tall(e: Extent) -> Extent:
-        long = MAX_SIDE < rows and COLUMN < e.width and e == replace(columns(e.count), partial=e.partial)
-        return replace(columns(e.count, rows), partial=e.partial) if long else e
+        long = COLUMN < e.width and e == replace(columns(e.count), partial=e.partial)
+        return replace(fewest(e.count, rows), partial=e.partial) if long else e
 
     def written(n: Node, inputs: tuple[Node, ...], number: Callable[[int], int]) -> tuple:
         """What `intern` takes, with the lists' numbers."""

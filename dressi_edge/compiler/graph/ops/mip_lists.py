@@ -35,11 +35,10 @@ def numbered(p: Pyramid) -> Extent:
 
 
 def columns(count: int, most: int = MAX_SIDE) -> Extent:
-    """Room for a list of so many entries: one column of 64 texels, or as few as there can be with at most so many rows."""
+    """Room for a list of so many entries: one column of 64 texels, or several of `most` rows (`passes/columns.py`)."""
     rows = -(-count // COLUMN)
     wide = -(-rows // most)
-    rows = -(-rows // wide)
-    return Extent(COLUMN * wide, rows, COLUMN * wide * rows)
+    return Extent(COLUMN * wide, min(rows, most), COLUMN * rows)
 
 
 def run_length(reads: int, texels: int) -> int:
