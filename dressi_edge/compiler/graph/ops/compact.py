@@ -111,21 +111,28 @@ op("group_count", "by", attrs="each most", infer=lambda name, inputs, attrs: ("i
    doc="How many workgroups of `each` invocations go through a list, as long as the last texel of `by` says; at most `most`.")
 
 
-def _slot_ref(flags, entries, running, each):
+def _slot_ref(flags, entries, running, each, most=None):
     count = running.reshape(-1)[-1] // each
     own = np.arange(flags.size)
     slot = np.searchsorted(entries.reshape(-1)[:count], own)
     return np.where(flags.reshape(-1) != 0, slot, -1).reshape(flags.shape)
 
 
-op("slot_of", "flags entries running", infer=lambda name, inputs, attrs: ("int", inputs[0].extent), reads="own texel texel",
+def _slot_infer(name, inputs, attrs):
+    flags, entries, _ = inputs
+    if entries.extent.count < min(attrs.get("most", flags.extent.count), flags.extent.count):
+        raise GraphError(f"{name}: the list {entries!r} has no room for all of {flags!r}")
+    return "int", flags.extent
+
+
+op("slot_of", "flags entries running", infer=_slot_infer, reads="own texel texel",
    ref=_slot_ref, cost=16,
    glsl="""{ int low_ = 0, high_ = {flags} != 0 ? {running}(ivec2({running_w} - 1, {running_h} - 1)) / {each} : 0;
   while (low_ < high_) { int mid_ = (low_ + high_) >> 1; if ({entries_at}(mid_) < {i}) low_ = mid_ + 1; else high_ = mid_; }
   {y} = {flags} != 0 ? low_ : -1; }""",
    sample=lambda rng: ([np.array([0, 1, 1, 0, 0, 1, 0, 1]).reshape(2, 4, 1), np.array([1, 2, 5, 7, -1, -1, -1, -1]).reshape(2, 4, 1),
                         np.array([[[12]]])], {"each": 3}),
-   doc="Where each set entry stands in the list (by bisection); -1 for the others.")
+   doc="Where each set entry stands in the list (by bisection), of which there are at most so many; -1 for the others.")
 
 
 @dataclass(frozen=True)
@@ -143,7 +150,8 @@ class Compact:
     @property
     def slots(self) -> Node:
         """Of each entry its place in the list, or -1."""
-        return apply("slot_of", self.flags, self.entries, self.running, each=self.each)
+        room, all_ = self.entries.extent.count, self.flags.extent.count
+        return apply("slot_of", self.flags, self.entries, self.running, each=self.each, **({"most": room} if room < all_ else {}))
 
     def lookup(self, values: Node, names: np.ndarray) -> Node:
         """`values[names[entry]]` for each entry of the list; zero after the last. names: for each entry there could be one of a table."""

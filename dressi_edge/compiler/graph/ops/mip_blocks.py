@@ -240,7 +240,7 @@ def _gradient_infer(name, inputs, attrs):
 
 op("mip_block_gradient", "each fold near coarse", attrs="", reads="texel texel own own", cost=40, ref=_gradient_ref, infer=_gradient_infer,
    glsl="{ ivec4 n_ = {near}; {y} = {fold_at}({coarse});\n    "
-   + "\n    ".join(f"for (int k_ = n_.{c}; k_ >= 0; k_ = -1) {{y}} = {{each_at}}(k_) + {{y}};" for c in "wzyx") + " }",
+   + "\n    ".join(f"{{y}} = n_.{c} >= 0 ? {{each_at}}(max(n_.{c}, 0)) + {{y}} : {{y}};" for c in "wzyx") + " }",
    sample=lambda rng: ([rng.normal(size=(4, 4, 3)), rng.normal(size=(2, 3, 3)), rng.integers(-1, 16, (5, 3, 4)),
                         rng.integers(0, 6, (5, 3, 1))], {}),
    doc="What a texel of each block gets: that of a coarse texel, and of each finer touched one over it.")

@@ -3,7 +3,8 @@
     texture, half, rest -> list of touched texels (`mip_lists.reads_of`) -> sample by places in it, which are found once
 
 `sample_levels` reads up to three images, and a group of pixels that lie in several levels reads all of them; a list is read alone, and
-where in it a pixel reads needs no arithmetic. The bits are those of `sample_levels`.
+where in it a pixel reads needs no arithmetic. The bits are those of `sample_levels`. A pixel that reads nothing reads the
+first texel of the list, which costs less than a loop of no turn.
 """
 from __future__ import annotations
 
@@ -62,8 +63,9 @@ def _texels_infer(name, inputs, attrs):
 
 
 op("mip_texels", "where texture half rest", attrs="", reads="own texel texel texel", cost=60, ref=_texels_ref, infer=_texels_infer,
-   glsl="{ ivec3 w_ = {where}; {y} = {type}(0); for (int q_ = w_.z; q_ < 1; ++q_) {y} = {texture}(w_.xy);\n"
-        "    for (int q_ = w_.z; q_ == 1; ++q_) {y} = {half}(w_.xy);\n    for (int q_ = w_.z; q_ > 1; q_ = 0) {y} = {rest}(w_.xy); }",
+   glsl="""{ ivec3 w_ = {where}; ivec2 at_ = w_.xy, no_ = ivec2(0); int m_ = w_.z;
+    {type} t_ = {texture}(m_ < 1 ? at_ : no_), h_ = {half}(m_ == 1 ? at_ : no_), r_ = {rest}(m_ > 1 ? at_ : no_);
+    {y} = m_ < 1 ? t_ : m_ == 1 ? h_ : r_; }""",
    sample=lambda rng: ((lambda t: [_where_ref(Chain(rng).texels, **SIZE), t, *levels_ref(t)])(rng.normal(size=(6, 13, 3))), {}),
    doc="The listed texels of a texture, its half and its rest.")
 
@@ -160,8 +162,7 @@ op("sample_touched", "entries near far fractions lod", attrs="last", reads="texe
     w_ -= min(floor(w_), {float(node.attrs["last"] - 1)});
     {{type}} t00_, t10_, t01_, t11_; ivec4 p_ = {{near}}; vec4 f_ = {{fractions}}; vec2 s_ = f_.xy;
     {_READ}; {{y}} = p_.x >= 0 ? (1.0 - w_) * {MIXED} : {{type}}(0);
-    p_ = {{far}}; s_ = f_.zw;
-    for (int j_ = p_.x; j_ >= 0; j_ = -1) {{ {_READ}; {{y}} += w_ * {MIXED}; }} }}""",
+    p_ = {{far}}; s_ = f_.zw; {_READ}; {{y}} = p_.x >= 0 ? {{y}} + w_ * {MIXED} : {{y}}; }}""",
    sample=lambda rng: ([rng.normal(size=(4, 6, 3)), rng.integers(0, 24, (6, 5, 4)) * (s := rng.integers(0, 2, (6, 5, 1))) + s - 1,
                         rng.integers(0, 24, (6, 5, 4)), rng.uniform(size=(6, 5, 4)), rng.uniform(-0.5, 4.5, (6, 5, 1))], {"last": 4}),
    doc="sample_levels of texels that stand in a list, by places, fractions and the level of detail.")
