@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 from test_sparse import SCREEN, Fit, Pair, anything, given, picture, told
 
+from dressi_edge import compiler
+from dressi_edge.cache.profile import Profile
 from dressi_edge.compiler.graph.functions import constant, dot, mean
+from dressi_edge.compiler.graph.ir import topological
 from dressi_edge.compiler.graph.ops.mip_blocks import STEP, _level_of_ref, _occupied_ref
 from dressi_edge.compiler.graph.ops.mip_lists import numbered
 from dressi_edge.compiler.graph.ops.mip_pyramid import Pyramid
@@ -13,6 +16,7 @@ from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.passes.blocks import TOLD
 from dressi_edge.compiler.render.optimizer import Adam, AdamUniform, AdamW, Clipped, Scaled, Sgd
 from dressi_edge.compiler.render.texture import sample_texture
+from dressi_edge.compiler.scene import HardSoftRas, Scene, Texture, Unlit, l2, look_at, sphere
 
 pytest_plugins = ["gpu"]
 
@@ -95,6 +99,28 @@ def test_two_textures_have_lists_of_their_own(gpu):
     with opened(gpu, fit) as pair:
         pair.step(5)
         pair.states()
+
+
+@pytest.mark.parametrize("rows", [300, 100])
+def test_lists_of_several_columns_give_the_same_bits(gpu, monkeypatch, rows):
+    """Of 4 columns, which comparisons tell apart, and of 12."""
+    monkeypatch.setattr(compiler, "rows_of", lambda profile: rows)
+    with opened(gpu, Mips(size=(333, 217))) as pair:
+        pair.step(3)
+        pair.states()
+        assert pair.runs("fit.enter") == 1
+
+
+def test_what_pixels_read_is_listed_once(gpu):
+    """For the samples and for their gradient, whatever passes made of the coordinates in between."""
+    scene = Scene([look_at([0, 0, 3], [0, 0, 0], [0, 1, 0], 40, 200, 150)])
+    texture = scene.parameter("texture", np.full((64, 64, 3), 0.5), kind="image")
+    scene.add(sphere(162), material=Unlit(Texture(texture, mips=True)))
+    seen = scene.frame(HardSoftRas(r=2.0, delta=0.0))
+    scene.phase("fit", 10, {"texture": Adam(0.01)}, color=l2(seen.color, scene.input("photo", np.full((1, 150, 200, 3), 0.4))))
+    plans = {plan.graph.name: [n.op.name for n in topological(plan.graph.roots)]
+             for plan in compiler.build(scene.program, Profile.load("lavapipe")).plans}
+    assert plans["fit.prepare"].count("mip_touched") == 1 and plans["fit"].count("mip_sums_00") == 1
 
 
 def test_the_reference_has_the_same_numbers(gpu):
