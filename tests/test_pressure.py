@@ -94,6 +94,37 @@ def test_loops_come_after_what_needs_none_and_what_they_need_is_held_across():
     assert peak(s.nodes, s.outputs).count >= 2
 
 
+def summed(views, **channels):
+    """Sums of pixels by entry, for each view in one loop; channels: what each adds up in every view, by its number of channels."""
+    program = Program()
+    box = program.input("box", Layout("table", "ivec4", count=12))
+    made = {}
+    for view in range(views):
+        fours = program.input(f"fours{view}", Layout("image", "ivec4", 4, 16))
+        bins = program.input(f"bins{view}", Layout("image", "ivec4", 2, 2))
+        for name, count in channels.items():
+            values = program.input(f"{name}{view}", Layout("image", f"vec{count}", 16, 16))
+            made[f"{name}_sum{view}"] = apply("segment_sum", values, fours, box, bins), Layout("table", f"vec{count}", count=12)
+    program.plan("p", {}, made)
+    return program
+
+
+@pytest.mark.parametrize("views, channels, count", [
+    (1, {"a": 3}, 3 + 3), (1, {"a": 3, "b": 4}, 7 + 7), (2, {"a": 3}, 6 + 3), (2, {"a": 3, "b": 4}, 14 + 7)])
+def test_a_loop_holds_its_own_variables_and_what_all_that_share_it_fetch_in_a_turn(views, channels, count):
+    """Of loops that do not share a header one turns after the other, while the results of all are there."""
+    s, = substages(summed(views, **channels), roomy())
+    own = {n.op.loop.holds for n in s.nodes}
+    assert peak(s.nodes, s.outputs).count == 4 + count + own.pop() and not own  # the box, and results beside what is fetched
+
+
+def test_sums_whose_turns_hold_too_much_are_given_to_more_shaders():
+    program = summed(1, a=3, b=4, c=4, d=3)
+    free, bound = substages(program, roomy()), substages(program, roomy(40))
+    assert len(free) == 1 and len(bound) == 2 and max(peak(s.nodes, s.outputs).count for s in bound) <= 40
+    assert sum(n.op.cost for s in bound for n in s.nodes) == sum(n.op.cost for n in free[0].nodes)  # nothing twice
+
+
 @pytest.mark.parametrize("count, outputs, most", [(40, 1, 24), (40, 6, 44), (60, 3, 32)])
 def test_a_bound_makes_more_substages_and_the_same_numbers(gpu, count, outputs, most):
     program, feed = folded(count, outputs), {"x": np.linspace(-1, 1, 30).reshape(5, 6, 1)}

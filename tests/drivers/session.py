@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Sequence
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,27 +25,34 @@ class Outcome:
     faults: tuple[str, ...]
 
 
-def run(name: str, packages: Path, folders: Sequence[Path], shaders: bool = False) -> Outcome:
+def run(name: str, packages: Path, folders: Sequence[Path], shaders: bool = False, tell: Callable[[dict], None] | None = None) -> Outcome:
     """Every bundle of these folders on this driver, under the validation layer. packages: the folder that `fetch` keeps. shaders: the
-    pipelines of `fit` are made, and nothing else."""
+    pipelines of `fit` are made, and nothing else. tell: hears of every bundle as soon as it is done."""
     driver = catalog.DRIVERS[name]
     words, environment = catalog.command(driver, packages, str(Path(__file__).with_name("replay.py")), str(ROOT),
                                          *["--shaders"] * shaders, *map(str, folders))
     wanted = [path.stem for folder in folders for path in sorted(folder.glob("*.dressi"))]
-    try:
-        done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=SECONDS[driver.group], cwd=ROOT)
-        lines, ended = done.stdout.splitlines(), f"with exit code {done.returncode}"
-    except subprocess.TimeoutExpired as late:
-        done, lines, ended = late, (late.stdout or b"").decode().splitlines(), f"after {SECONDS[driver.group]} seconds"
-    records = [json.loads(line) for line in lines if line.startswith("{")]
+    records, late = [], threading.Event()
+    with tempfile.TemporaryFile("w+", errors="replace") as errors, subprocess.Popen(
+            words, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT) as process:
+        patience = threading.Timer(SECONDS[driver.group], lambda: (late.set(), process.kill()))
+        patience.start()
+        for line in process.stdout:
+            if line.startswith("{") and line.endswith("}\n"):
+                records.append(json.loads(line))
+                if tell is not None and "name" in records[-1]:
+                    tell(records[-1])
+        code = process.wait()
+        patience.cancel()
+        errors.seek(0)
+        last = errors.read().strip().splitlines()[-3:]
     device = records[0] if records else {}
     results = tuple(r for r in records if "name" in r)
     faults = [line for r in results for line in _faults(driver, r)]
     if not records or "closed" not in records[-1]:
-        last = (done.stderr or b"" if isinstance(done.stderr, bytes) else done.stderr or "")
-        last = last.decode(errors="replace") if isinstance(last, bytes) else last
         at = wanted[len(results)] if len(results) < len(wanted) else "closing"
-        faults.append(f"{at}: the process ended {ended}: {' | '.join(last.strip().splitlines()[-3:])}")
+        ended = f"after {SECONDS[driver.group]} seconds" if late.is_set() else f"with exit code {code}"
+        faults.append(f"{at}: the process ended {ended}: {' | '.join(last)}")
     else:
         faults += [f"closing: layer: {line}" for line in records[-1]["closed"]]
     return Outcome(device, results, tuple(faults))

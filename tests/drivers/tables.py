@@ -4,7 +4,8 @@
 
 Every driver runs what `make test-drivers` runs, and the whole problems once more as they are compiled for `AGAINST`, the profile that
 one would take for a desktop of which one knows nothing. Drivers on an emulated processor compile the shaders of one step of the whole
-problems for their own profile, and no more: minutes each. Results of drivers that are not named stay in benchmarks/results/drivers.json.
+problems as they are compiled for these two, and no more: ten minutes each. Results of drivers that are not named stay in
+benchmarks/results/drivers.json.
 """
 
 from __future__ import annotations
@@ -39,14 +40,21 @@ def measure(name: str, bundles: dict[str, list[Path]]) -> dict:
         return bundles[profile.digest]
 
     shaders = driver.group == "arm"
-    own = session.run(name, packages, folders(Profile.load(driver.profile))[shaders:], shaders)
-    other = session.Outcome({}, (), ()) if shaders else session.run(name, packages, folders(Profile.load(AGAINST))[1:])
+    own = session.run(name, packages, folders(Profile.load(driver.profile))[shaders:], shaders, _told)
+    other = session.run(name, packages, folders(Profile.load(AGAINST))[1:], shaders, _told)
     return {"device": own.device.get("device", "?"), "driver": own.device.get("driver", "?"), "profile": driver.profile,
             "bundles": len(own.results), "shaders_alone": shaders, "faults": list(own.faults), "executes": driver.executes,
             "deviation": max((r["deviation"] for r in own.results), default=None) if driver.executes else None,
             "own": {r["name"]: _sums(r) for r in own.results if r["name"] in PROBLEMS},
             "against": {r["name"]: _sums(r) for r in other.results if r["name"] in PROBLEMS},
             "date": datetime.date.today().isoformat()}
+
+
+def _told(r: dict) -> None:
+    """A line for each bundle as soon as it is done."""
+    sums = _sums(r)
+    print(f"  {r['name']}: {r['error'] or 'done'} in {r['seconds']:.0f} s; {sums['pipelines']} pipelines of fit, spills {sums['spills']}, "
+          f"cycles {sums['cycles']}, instructions {sums['instructions']}", flush=True)
 
 
 def _sums(r: dict) -> dict:

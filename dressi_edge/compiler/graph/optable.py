@@ -31,11 +31,13 @@ OWN, TEXEL, FILTERED, VERTEX, TILE, COUNT = "own", "texel", "filtered", "vertex"
 
 @dataclass(frozen=True)
 class Loop:
-    """A snippet that loops: ops whose headers come out equal share one loop. The result starts at zero; `body` adds to it."""
+    """A snippet that loops: ops whose headers come out equal share one loop. The result starts at zero; `body` adds to it. holds: of how
+    many 32-bit numbers the header's variables are where most of them are needed, beside inputs at the own texel; 0 for a few."""
 
     header: str
     body: str
     close: str = "}"
+    holds: int = 0
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,7 @@ op("segment_sum", "values fours box bins", attrs="", sums=(0,), named=(0, 1, -1)
    reads="texel texel own texel", ref=_segment_ref, cost=400, functions=_NAME_BIT, banded=_in_bands,
    vjp=lambda g, y, values, fours, box, bins: (
        apply("lookup", g, apply("one_of_fours", fours, extent=values.extent)), None, None, None),
-   loop=Loop(_BINS, "{y} += {values}(q_);", "} }"),
+   loop=Loop(_BINS, "{y} += {values}(q_);", "} }", 14),
    sample=lambda rng: ([rng.normal(size=(8, 9, 3)), _in_fours_ref(rng.integers(-1, 6, (8, 9, 1))),
                         to_table(np.tile(np.array([0, 0, 9, 8]), (6, 1))), np.full((1, 2, 4), -1)], {}),
    doc="Transpose of lookup_boxed: for each entry the sum, over the bins of its box that may hold any (`bin_names`), of the pixels that "
@@ -220,7 +220,7 @@ rows_.yw = ivec2(max(rows_.y, top_ * {BIN}), min(rows_.w, (top_ + each_) * {BIN}
 """
 op("segment_sum_banded", "values fours box bins", attrs="bands count", sums=(0,), named=(0, 1, -1), infer=_banded_infer,
    reads="texel texel texel texel", ref=_banded_ref, cost=400, functions=_NAME_BIT,
-   loop=Loop(_BAND + _BINS.replace("{i}", "entry_").replace("{box}", "rows_"), "{y} += {values}(q_);", "} } }"),
+   loop=Loop(_BAND + _BINS.replace("{i}", "entry_").replace("{box}", "rows_"), "{y} += {values}(q_);", "} } }", 19),
    sample=lambda rng: ([rng.normal(size=(30, 9, 3)), _in_fours_ref(rng.integers(-1, 6, (30, 9, 1))),
                         to_table(np.tile(np.array([0, 3, 9, 29]), (6, 1))), np.full((4, 2, 4), -1)], {"bands": 3, "count": 6}),
    doc="segment_sum of each of so many bands of rows of an entry's box: entry k's are the entries k * bands and after.")
@@ -296,7 +296,7 @@ op("capsule_sum", "values places box segment center", alike=((0, 1),), sums=(0,)
    reads="texel texel own own own", cost=300,
    ref=lambda values, places, box, *_, channel, reach: _sums(values, places[..., channel:channel + 1] - 1, box),
    vjp=lambda g, y, values, places, *where, **attrs: (apply("lookup_near", g, places, *where, **attrs), None, None, None, None),
-   loop=Loop(_CAPSULE, "if (named_[{channel}] == {i} + 1) {y} += {values}(q_);", "} }"),
+   loop=Loop(_CAPSULE, "if (named_[{channel}] == {i} + 1) {y} += {values}(q_);", "} }", 7),
    sample=lambda rng: ([rng.normal(size=(10, 12, 3)), *_capsules(rng)], {"reach": 2.0, "channel": 0}),
    doc="Transpose of lookup_near: for each segment the sum over the pixels of its box and within `reach` that name it.")
 
