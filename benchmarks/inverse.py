@@ -10,6 +10,7 @@ The fit begins with the visual hull of the masks, grey, under a grey sky. Measur
 colours (scaled channel by channel as nothing else can be, for light times colour is all that is seen), roughness and metal of each pixel
 that shows the thing in both; the distance of the surfaces both ways; and under another light, which nobody has photographed.
 
+roughness told     only where 0.1 more of it changes some photograph by 0.02 (`told`)
 ours of the truth  the photographs against our pictures of the true shape, maps and light: what no fit of ours can be better than
 """
 from __future__ import annotations
@@ -34,6 +35,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 import metrics  # noqa: E402
 
 from dressi_edge import runtime  # noqa: E402
+from dressi_edge.compiler.graph.ir import Node  # noqa: E402
 from dressi_edge.compiler.io.hull import visual_hull  # noqa: E402
 from dressi_edge.compiler.io.panorama import read_exr  # noqa: E402
 from dressi_edge.compiler.io.shapes import pear  # noqa: E402
@@ -59,12 +61,14 @@ from dressi_edge.compiler.scene import (  # noqa: E402
     orbit,
     panorama,
     save_png,
+    tint,
     total_variation,
     uniform_laplacian,
 )
 
 PEAK = 4.0  # radiance is clamped to this, as the paper clamps it
 ELEVATIONS = (25.0, -20.0, 55.0, 0.0)
+TOLD = 0.02  # of `told`, from where on photographs count as telling of roughness
 SIDE = 32  # texels of the environment's map
 
 
@@ -168,6 +172,30 @@ def mitsuba_photographs(of: Thing, cameras, samples: int) -> tuple[np.ndarray, n
     return found[..., :3], np.clip(found[..., 3], 0.0, 1.0)
 
 
+def told(of: Thing, cameras, others, folder: Path, options) -> np.ndarray:
+    """(n, h, w), of each pixel of the other cameras: how much the colours of some pixel of a photograph of the same place change if its
+    roughness grows by 0.1: root mean square of the channels, the largest over all photographs."""
+    rougher = Thing(of.mesh, of.color, np.clip(of.maps + [0.0, 0.1, 0.0], 0.0, 1.0), of.sky)
+    looks, n = [drawn(x.mesh, cameras, shaded(x, of.sky), folder, options, 1) for x in (of, rougher)], 256
+    changed = np.sqrt(((np.clip(looks[0][0], 0, 1) - np.clip(looks[1][0], 0, 1)) ** 2).mean(-1))
+    y, x = (np.mgrid[:n, :n] + 0.5) / n
+    place = drawn(of.mesh, cameras, Unlit(Texture(np.stack([x, y, x * 0], -1))), folder, options, 1)[0]
+    row, column = ((place[..., k] * n).astype(int).clip(0, n - 1) for k in (1, 0))
+    most, inside = np.zeros((n, n)), looks[0][1] > 0.99
+    np.maximum.at(most, (row[inside], column[inside]), changed[inside])
+    for _ in range(3):  # texels between those that pixels are at
+        most = np.where(most > 0, most, np.max([np.roll(most, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], 0))
+    return drawn(of.mesh, others, Unlit(Texture(np.repeat(most[..., None], 3, -1))), folder, options)[0][..., 0]
+
+
+def alike(colors: Node, size: int, sharp: float) -> Node:
+    """Of each of size x size texels how much it looks like those beside and below it: 1 as they do, exp(-sharp d^2) of other colours."""
+    while colors.extent.width > size:
+        colors = F.downsample(colors)
+    apart = [F.shift(colors, dx, dy) - colors for dx, dy in ((-1, 0), (0, -1))]
+    return F.stop_gradient(F.exp((F.dot(apart[0], apart[0]) + F.dot(apart[1], apart[1])) * -sharp))
+
+
 def fit(photos, masks, cameras, folder: Path, options) -> tuple[Thing, np.ndarray, dict]:
     """The thing found, the environment's map and how long it took."""
     start, steps = time.perf_counter(), 4 if options.quick else options.steps
@@ -182,23 +210,27 @@ def fit(photos, masks, cameras, folder: Path, options) -> tuple[Thing, np.ndarra
     light = s.parameter("sky", np.full((SIDE, SIDE, 3), 0.6), 0.0, PEAK, kind="image")
     part = s.add(hull, x, PBR(Texture(base), Channel(Texture(rest), "y"), Channel(Texture(rest), "z"), environment=Environment(light)))
     photo, mask = s.input("photo", photos), s.input("mask", masks)
-    grey = (light.x + light.y + light.z) * (1 / 3)
     bend, count = uniform_laplacian(x, part.topology, 2), steps * options.rounds
+
+    first = steps * options.first // 100
 
     def adam(rate: float, n: int) -> Adam:
         return Adam(Schedule(rate, rate / 10, n, "exponential"))
     for name, n, optimize, colors in (("outline", 2 * steps, {"vertices": 0.004}, False),
-                                      ("surface", count, {"base": 0.02, "maps": options.maps_rate, "sky": 0.03}, True),
+                                      ("light", first, {"base": 0.02, "sky": options.sky_rate}, True),
+                                      ("surface", count, {"base": 0.02, "maps": options.maps_rate, "sky": options.sky_rate}, True),
                                       ("shape", count, {"vertices": 0.002}, True)):
         seen = s.frame(Outline(r=2.0), phase=name, order="shuffle")
-        even = {"even": (options.even, total_variation(base) + total_variation(rest)),
-                **({"white": (options.white, l1(light, F.compose(grey, grey, grey)))} if options.white else {})}
-        kept = even if name == "surface" else {
+        same = alike(base, options.texels // 4, options.guide) if options.guide else None
+        even = {"even": (options.even, total_variation(base)), "even_maps": (options.even_maps, total_variation(rest, mask=same)),
+                **({"white": (options.white, tint(light))} if options.white else {})}
+        kept = even if name in ("light", "surface") else {
             "mask": l2(seen.alpha, seen.at(mask)), "smooth": (options.smooth, bend)}
-        s.phase(name, n, {key: adam(rate, n) for key, rate in optimize.items()},
+        s.phase(name, n, {key: Adam(rate) if name == "light" else adam(rate, n) for key, rate in optimize.items()},
                 **({"color": l1(seen.color, seen.at(photo))} if colors else {}), **kept)
     with session_of(s, folder, options) as session:
         session.step(2 * steps, "outline")
+        session.step(first, "light")
         for _ in range(options.rounds):
             session.step(steps, "surface")
             session.step(steps, "shape")
@@ -224,8 +256,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=200, help="of each phase and round")
     parser.add_argument("--smooth", type=float, default=1.0, help="the weight of the Laplacian")
-    parser.add_argument("--even", type=float, default=0.02, help="the weight of the maps' total variation")
+    parser.add_argument("--even", type=float, default=0.02, help="the weight of the colours' total variation")
+    parser.add_argument("--even-maps", type=float, default=0.02, help="that of roughness and metal")
     parser.add_argument("--white", type=float, default=0.0, help="the weight of how far the light is from grey (Munkberg et al. 2022)")
+    parser.add_argument("--first", type=int, default=0, help="steps before roughness and metal move, in percent of --steps")
+    parser.add_argument("--sky-rate", type=float, default=0.03, help="Adam's, for the light")
+    parser.add_argument("--guide", type=float, default=0.0, help="how much less roughness and metal are evened out where colours differ")
+    parser.add_argument("--ours", action="store_true", help="photographs by ourselves, of the very model that is fitted")
     parser.add_argument("--rough", type=float, default=0.5, help="the roughness that the fit begins with")
     parser.add_argument("--metal", type=float, default=0.2, help="the metal that the fit begins with")
     parser.add_argument("--maps-rate", type=float, default=0.02, help="Adam's, for roughness and metal")
@@ -241,7 +278,7 @@ def main(arguments: list[str] | None = None) -> None:
     size, true = options.size, thing(options.data, 512)
     cameras = orbit(options.views, ELEVATIONS, 2.7, 42.0, (size, size))
     others = orbit(6, (10.0, -35.0, 40.0), 2.7, 42.0, (size, size))
-    theirs = importlib.util.find_spec("mitsuba") is not None
+    theirs = importlib.util.find_spec("mitsuba") is not None and not options.ours
     with tempfile.TemporaryDirectory(prefix="dressi-inverse-") as name:
         folder = Path(name)
 
@@ -265,6 +302,7 @@ def main(arguments: list[str] | None = None) -> None:
                           / (maps["found", "color"][inside][:, c] ** 2).sum() for c in range(3)])
         metal = maps["true", "maps"][..., 2] > 0.5
         rough, metals = (np.abs(maps["true", "maps"] - maps["found", "maps"])[..., k] for k in (1, 2))
+        clear = told(true, cameras, others, folder, options) > TOLD
         elsewhere = np.clip(np.roll(true.sky[:, ::-1], true.sky.shape[1] // 3, 1)[:, :, ::-1], 0.02, PEAK)
         relit = [drawn(of.mesh, others, shaded(of, elsewhere), folder, options)[0] for of in (
             true, Thing(found.mesh, np.clip(found.color * scale, 0, 1), found.maps, found.sky))]
@@ -277,7 +315,9 @@ def main(arguments: list[str] | None = None) -> None:
            "ours_of_the_truth": psnr(ours, wanted, seen > -1), "ours_of_the_truth_inside": psnr(ours, wanted, inside),
            "iou": float(np.minimum(alpha, seen).sum() / np.maximum(alpha, seen).sum()),
            "color_psnr": psnr(maps["found", "color"] * scale, maps["true", "color"], inside), "scale": scale.round(3).tolist(),
-           "roughness": float(rough[inside].mean()), "roughness_of_metal": float(rough[inside & metal].mean()),
+           "roughness": float(rough[inside].mean()), "roughness_told": float(rough[inside & clear].mean()),
+           "told": float((inside & clear).sum() / inside.sum()), "metal": float(metals[inside].mean()),
+           "roughness_of_metal": float(rough[inside & metal].mean()),
            "metal_of_metal": float(metals[inside & metal].mean()), "metal_of_the_rest": float(metals[inside & ~metal].mean()),
            "relit_psnr": psnr(relit[0], relit[1], inside), **apart}
     print(json.dumps(row, indent=1))

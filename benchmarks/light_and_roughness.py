@@ -1,24 +1,37 @@
-"""An environment and a roughness from pictures, shapes known (the paper's Figure 18, in small): a torus, and meshes of one's own.
+"""An environment and a roughness from pictures, shapes known (the paper's Figure 18): a torus, a pot and a pig.
 
-    python benchmarks/light_and_roughness.py [--mesh FILE ...] [--panorama FILE] [--views N] [--size PIXELS] [--steps N]
+    python benchmarks/light_and_roughness.py [--data DIR] [--mesh FILE ...] [--panorama FILE] [--roughness R ...] [--views N]
+                                             [--size PIXELS] [--steps N] [--even WEIGHT] [--json FILE] [--picture FILE] [--quick]
 
-The environment starts grey; its truth is clamped to [0.02, 4], as the paper clamps it. Told are the roughness that was found, the PSNR of
-the environment over the texels that the pictures tell of (those that have moved; the peak is the clamp), and that of the pictures.
+The pot is the teapot and the pig that of DIR (by default `shared` next to the checkout), the panorama DIR's sunset; without it the torus
+and a sky of its own. The environment starts grey; its truth is clamped to [0.02, 4], as the paper clamps it. Told are
+
+roughness    the one that was found
+all          PSNR of the environment's map, all of its texels; the peak is the clamp
+visible      over texels that a pixel of a picture mirrors, and how large a part of the sphere they are
+lobe         of the map as a surface of that roughness sees it: filtered by its lobe (of the nearest level), over all directions
+pictures     PSNR of the pictures
 """
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
 
 from dressi_edge import runtime
+from dressi_edge.compiler.io.panorama import read_exr
+from dressi_edge.compiler.render.octahedron import cells, places
+from dressi_edge.compiler.render.prefilter import layout
 from dressi_edge.compiler.scene import (
     PBR,
     Adam,
     Environment,
+    F,
     Mesh,
     Scene,
     Schedule,
@@ -30,11 +43,13 @@ from dressi_edge.compiler.scene import (
     orbit,
     panorama,
     save_png,
+    total_variation,
 )
 
-RESULTS = Path(__file__).resolve().parent / "results"
+ROOT = Path(__file__).resolve().parents[1]
 PEAK = 4.0
-TRUTH = {"shiny": 0.15, "satin": 0.35, "rough": 0.6}
+TRUTH = (0.15, 0.35, 0.6)
+OWN = {"pot": "meshes/teapot.obj", "pig": "assets/meshes_cgal/pig.stl"}
 
 
 def torus(across: int = 64, around: int = 32) -> Mesh:
@@ -64,7 +79,20 @@ def outdoors() -> np.ndarray:
     return image
 
 
-def fit(mesh: Mesh, light: np.ndarray, roughness: float, options) -> tuple[dict, list]:
+def db(error: float, peak: float = 1.0) -> float:
+    return float(10 * np.log10(peak ** 2 / max(error, 1e-12)))
+
+
+def mirrored_by(directions: np.ndarray, n: int) -> np.ndarray:
+    """(n, n): whether one of the directions (count, 3) is one of the texel's."""
+    column, row = np.floor(places(directions) * n).clip(0, n - 1).astype(int).T
+    found = np.zeros((n, n), bool)
+    found[row, column] = True
+    return found
+
+
+def fit(mesh: Mesh, light: np.ndarray, roughness: float, options) -> tuple[dict, np.ndarray]:
+    """What was found and how good it is, and the map."""
     size, steps, n = options.size, options.steps, len(light)
     s = Scene(orbit(options.views, [25, -20, 60, -50], 2.6, 40, (size, size)), encode=Tone("reinhard", white=PEAK))
     around = Environment(s.parameter("sky", light, 0.0, PEAK, kind="image"))
@@ -72,50 +100,81 @@ def fit(mesh: Mesh, light: np.ndarray, roughness: float, options) -> tuple[dict,
     s.add(mesh, material=PBR((0.95, 0.93, 0.9), own, 1.0, environment=around))
     seen = s.frame()
     photo = s.input("photo", np.zeros((options.views, size, size, 3)))
+    even = {"even": (options.even, total_variation(around.map))} if options.even else {}
     s.phase("fit", steps, {"sky": Adam(Schedule(0.03, 0.003, steps, "exponential")),
-                           "roughness": Adam(Schedule(0.01, 0.001, steps, "exponential"))}, color=l1(seen.color, photo))
+                           "roughness": Adam(Schedule(0.01, 0.001, steps, "exponential"))}, color=l1(seen.color, photo), **even)
     s.output("look", color=seen.color)
+    s.output("mirror", towards=seen.ray - seen.normal * (F.dot(seen.normal, seen.ray) * 2.0), mask=seen.mask)
+    s.output("lobes", levels=around.levels)
     with tempfile.TemporaryDirectory() as folder:
         s.compile(options.profile, Path(folder) / "x.dressi")
-        with runtime.load(Path(folder) / "x.dressi") as session:
-            target = session.get("look.color")
+        with runtime.load(Path(folder) / "x.dressi", options.device) as session:
+            target, lobes = session.get("look.color"), np.asarray(session.get("lobes.levels"), float)
+            visible = mirrored_by(session.get("mirror.towards")[np.squeeze(session.get("mirror.mask")) > 0], n)
             session.set("photo", target)
             session.set("sky", np.full((n, n, 3), 0.5))
             session.set("roughness", 0.5)
+            start = time.perf_counter()
             session.step(steps)
-            found, after = session.get("sky"), session.get("look.color")
-            r = float(session.get("roughness"))
-    told = (np.abs(found - 0.5) > 0.01).any(-1)
-    error = float(((found - light)[told] ** 2).mean())
-    return {"truth": roughness, "found": r, "texels": float(told.mean()), "environment_psnr": float(10 * np.log10(PEAK ** 2 / error)),
-            "picture_psnr": float(-10 * np.log10(max(((after - target) ** 2).mean(), 1e-12)))}, [found, after[0], target[0]]
+            found, r = np.asarray(session.get("sky"), float), float(session.get("roughness"))  # which waits for the steps
+            seconds = time.perf_counter() - start
+            after, off = session.get("look.color"), np.asarray(session.get("lobes.levels"), float) - lobes
+    level = min(layout(n).levels, key=lambda x: abs(x.roughness - roughness))
+    x, y = level.x + 1, level.y + 1
+    error, angle = ((found - light) ** 2).mean(-1), cells(n)[1].reshape(n, n)
+    return {"truth": roughness, "found": r, "environment_psnr": db(np.average(error, weights=angle), PEAK),
+            "visible": float((angle * visible).sum() / angle.sum()),
+            "visible_psnr": db(np.average(error, weights=angle * visible), PEAK),
+            "lobe_psnr": db((off[y:y + level.n, x:x + level.n] ** 2).mean(), PEAK),
+            "picture_psnr": db(((after - target) ** 2).mean()), "ms_per_step": seconds / steps * 1e3}, found
 
 
-def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    arguments.add_argument("--mesh", nargs="*", default=[], type=Path)
+def main(given: list[str] | None = None) -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--data", type=Path, default=ROOT.parent / "shared")
+    arguments.add_argument("--mesh", nargs="*", type=Path, help="these beside the torus, instead of the pot and the pig")
     arguments.add_argument("--panorama", type=Path)
+    arguments.add_argument("--roughness", nargs="*", type=float, default=TRUTH)
     arguments.add_argument("--views", type=int, default=8)
-    arguments.add_argument("--size", type=int, default=96)
+    arguments.add_argument("--size", type=int, default=128)
     arguments.add_argument("--steps", type=int, default=400)
     arguments.add_argument("--texels", type=int, default=32, help="a side of the octahedral map")
+    arguments.add_argument("--even", type=float, default=0.0, help="the weight of the map's total variation")
     arguments.add_argument("--profile", default="lavapipe")
-    arguments.add_argument("--picture", type=Path, help="a PNG of what was found and wanted")
-    options = arguments.parse_args()
-    wide = load_panorama(options.panorama) if options.panorama else outdoors()
+    arguments.add_argument("--device")
+    arguments.add_argument("--quick", action="store_true")
+    arguments.add_argument("--json", type=Path)
+    arguments.add_argument("--picture", type=Path, help="a PNG: the environment, then what was found, a mesh a row")
+    options = arguments.parse_args(given)
+    if options.quick:
+        options.size, options.steps, options.views, options.texels, options.roughness = 32, 120, 4, 16, (0.15,)
+    known, sunset = {name: options.data / path for name, path in OWN.items()}, options.data / "meshes" / "sunset_512x256.exr"
+    if options.mesh is not None:
+        known = {path.stem: path for path in options.mesh}
+    if options.panorama:
+        wide = load_panorama(options.panorama)
+    elif sunset.is_file():
+        wide = np.maximum(read_exr(sunset.read_bytes(), sunset)[..., :3], 0.0)  # some of it is below 0
+    else:
+        wide = outdoors()
     light = np.clip(octahedral(wide, options.texels), 0.02, PEAK)
-    meshes = {"torus": torus(), **{path.stem: centred(load_mesh(path)) for path in options.mesh}}
-    rows, pictures = {}, [panorama(light, 64)]
-    print(f"{'mesh':16} {'roughness':>9} {'found':>7} {'environment dB':>14} {'of texels':>9} {'pictures dB':>11}")
+    meshes = {"torus": torus(), **{name: centred(load_mesh(path)) for name, path in known.items() if path.is_file()}}
+    rows, pictures = [], []
+    print(f"{'mesh':10} {'roughness':>9} {'found':>6} {'all dB':>6} {'visible dB':>10} {'of the sphere':>13} {'lobe dB':>7} "
+          f"{'pictures dB':>11} {'ms':>5}")
     for name, mesh in meshes.items():
-        for roughness in TRUTH.values():
-            row, (sky, after, target) = fit(mesh, light, roughness, options)
-            rows[f"{name}, {roughness}"] = row
-            print(f"{name:16} {roughness:9.2f} {row['found']:7.3f} {row['environment_psnr']:14.1f} {row['texels']:9.2f} "
-                  f"{row['picture_psnr']:11.1f}", flush=True)
-            pictures.append(panorama(sky, 64))
-    (RESULTS / "light_and_roughness.json").write_text(json.dumps({"views": options.views, "size": options.size, "steps": options.steps,
-                                                                  "panorama": bool(options.panorama), "cases": rows}, indent=1) + "\n")
+        across = [panorama(light, 64)]
+        for roughness in options.roughness:
+            row, sky = fit(mesh, light, roughness, options)
+            rows.append({"mesh": name, "faces": len(mesh.faces), **row})
+            print(f"{name:10} {roughness:9.2f} {row['found']:6.3f} {row['environment_psnr']:6.1f} {row['visible_psnr']:10.1f} "
+                  f"{row['visible']:13.2f} {row['lobe_psnr']:7.1f} {row['picture_psnr']:11.1f} {row['ms_per_step']:5.1f}", flush=True)
+            across.append(panorama(sky, 64))
+        pictures.append(np.concatenate(across, 1))
+    if options.json:
+        options.json.write_text(json.dumps({"views": options.views, "size": options.size, "steps": options.steps, "texels": options.texels,
+                                            "even": options.even, "photographed": bool(options.panorama) or sunset.is_file(),
+                                            "load": round(os.getloadavg()[0], 1), "results": rows}, indent=1) + "\n")
     if options.picture:
         shown = np.concatenate(pictures, 0)
         save_png(options.picture, np.clip(shown / (1 + shown) * (1 + shown / PEAK ** 2), 0, 1) ** (1 / 2.2))

@@ -22,6 +22,7 @@ import error_vs_time
 import geometry
 import gloss
 import inverse
+import light_and_roughness
 import metrics
 import mips
 import reconstruct
@@ -211,6 +212,23 @@ def test_gloss_quick(tmp_path):
     rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
     assert rows["roughness +0.3"]["rest"] > rows["roughness +0.15"]["rest"] > 0
     assert rows["metal 0.2"]["metal"] > rows["metal 0.43"]["metal"] > rows["metal 0.2"]["rest"]
+
+
+@pytest.mark.full
+def test_light_and_roughness_quick(tmp_path):
+    """A torus of metal: roughness comes nearer from 0.5, and what a surface sees of the light is nearer than the light itself."""
+    out = tmp_path / "out.json"
+    light_and_roughness.main(["--quick", "--json", str(out), "--picture", str(tmp_path / "out.png"), "--data", str(tmp_path)])
+    (row,) = json.loads(out.read_text())["results"]
+    assert row["mesh"] == "torus" and abs(row["found"] - row["truth"]) < 0.15
+    assert row["picture_psnr"] > 25 and row["lobe_psnr"] > row["environment_psnr"] > 15 and 0.9 < row["visible"] <= 1.0
+
+
+def test_texels_that_mirror_is_those_of_the_directions():
+    """Straight up is in the middle of the square, straight down at its corners."""
+    up = light_and_roughness.mirrored_by(np.array([[0.01, 1.0, 0.01]]), 8)
+    assert up.sum() == 1 and up[4, 4]
+    assert light_and_roughness.mirrored_by(np.array([[-0.01, -1.0, -0.01], [1.0, 0.01, 0.01]]), 8).sum() == 2
 
 
 @pytest.mark.full

@@ -118,7 +118,8 @@ def test_every_parameter_can_be_named(folder):
     whole = job(part=parts, light=[{"kind": "point", "power": 8, "vector": [2, 2, 2]}],
                 phase=[{"name": "all", "steps": 3, "optimize": {k: {"rate": 0.001} for k in names},
                         "loss": [*terms, {"kind": "magnitude", "parameter": "ball.scale", "weight": 0.1},
-                                 {"kind": "total_variation", "parameter": "pear.texture", "power": 2, "weight": 0.1}]}])
+                                 {"kind": "total_variation", "parameter": "pear.texture", "power": 2, "weight": 0.1},
+                                 {"kind": "tint", "parameter": "pear.texture", "weight": 0.1}]}])
     found = parse_job(whole, folder / "job.toml")
     assert set(names) == found.scene.parameters.keys() and found.phases == ["all"]
     assert [p.name for p in found.program.plans] == ["all", "all.loss", "all.terms", "render"]
@@ -160,7 +161,11 @@ def test_every_parameter_can_be_named(folder):
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "color", "power": 2}]}]}, "power is no setting of loss color"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "magnitude", "parameter": "x"}]}]}, "parameter is 'x'; there are: "),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "total_variation", "parameter": "ball.translation"}]}]},
-     "parameter ball.translation is no image"),
+     "parameter ball.translation is no image; total_variation is of textures"),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "tint", "parameter": "ball.translation"}]}]},
+     "parameter ball.translation is no image; tint is of textures"),
+    ({"phase": [job()["phase"][0] | {"loss": [{"kind": "tint", "parameter": "pear.texture", "power": 2}]}]},
+     "power is no setting of loss tint"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "total_variation", "parameter": "ball.translation", "norm": "l1"}]}]},
      "norm is no setting of loss total_variation"),
     ({"phase": [job()["phase"][0] | {"loss": [{"kind": "laplacian", "part": "pear"}]}]},

@@ -34,6 +34,7 @@ from dressi_edge.compiler.scene import (
     pyramid_l1,
     ssim,
     ssim_loss,
+    tint,
     total_variation,
 )
 
@@ -110,6 +111,22 @@ def test_total_variation_compares_texels_with_those_beside_and_below_in_their_ce
         return total / x.size
 
     agrees(lambda a, b: total_variation(a * b, power, cell, F.constant(MASK[..., None]) if masked else None), loop, vtype)
+
+
+@pytest.mark.parametrize("vtype, masked", [("vec2", False), ("vec3", True), ("vec4", True)])
+def test_tint_is_how_far_a_texel_is_from_the_mean_of_its_channels(vtype, masked):
+    def loop(a, b):
+        x, total = (a * b).reshape(12, 14, -1), 0.0
+        for j, i, c in np.ndindex(x.shape):
+            total += abs(x[j, i, c] - x[j, i].mean()) * (MASK[j, i] if masked else 1.0)
+        return total / x.size
+
+    agrees(lambda a, b: tint(a * b, F.constant(MASK[..., None]) if masked else None), loop, vtype)
+
+
+def test_grey_of_any_brightness_has_no_tint():
+    grey = F.constant(np.repeat(np.array([0.0, 0.25, 1.0, 8.0]).reshape(2, 2, 1), 3, -1))
+    assert evaluate([tint(grey)], {})[0].item() == 0.0
 
 
 def cells_of(x, cell=CELL):
@@ -391,6 +408,8 @@ P = F.constant_table(np.zeros((42, 3)))
     (lambda: charbonnier(IMAGE, IMAGE, "small"), "charbonnier: epsilon is 'small'"),
     (lambda: charbonnier(3.0, IMAGE), "charbonnier: the image is 3.0"),
     (lambda: mean_square(4), "mean_square: 4; a float"),
+    (lambda: tint(F.constant(np.zeros((2, 2, 1)))), "tint: the image is .* a vec image is needed"),
+    (lambda: tint(0.5), "tint: the image is 0.5"),
     (lambda: total_variation(IMAGE, 3), "total_variation: power is 3; 1 or 2"),
     (lambda: total_variation([1.0]), r"total_variation: the image is \[1.0\]"),
     (lambda: total_variation(IMAGE, cell=(5, 6)), "not made of whole cells of 5 x 6"),

@@ -31,6 +31,7 @@ from ..render.loss import (
     pyramid_l1,
     ssim,
     ssim_loss,
+    tint,
     total_variation,
     uniform_laplacian,
 )
@@ -56,4 +57,4 @@ __all__ = ["Adam", "AdamUniform", "AdamW", "Binned", "BlinnPhong", "Camera", "Ch
            "load_parts", "load_photographs", "load_scene", "load_views", "look_along", "look_at", "mean_square",
            "normal_consistency", "normal_loss", "octahedral", "op", "orbit", "panorama", "pear", "pyramid_l1", "rigid",
            "save_mesh", "save_parts", "save_png", "similarity", "skin", "sphere", "ssim", "ssim_loss", "state", "subdivide",
-           "total_variation", "uniform_laplacian", "visual_hull"]
+           "tint", "total_variation", "uniform_laplacian", "visual_hull"]

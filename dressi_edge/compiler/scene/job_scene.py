@@ -68,7 +68,8 @@ OF_IMAGES = ("silhouette", "color")
 OF_MESHES = {"laplacian": losses.uniform_laplacian, "cotangent_laplacian": losses.cotangent_laplacian,
              "normal_consistency": lambda p, t, power: losses.normal_consistency(p, t),
              "edge_length": lambda p, t, power: losses.edge_length(p, t)}
-OF_PARAMETERS = {"magnitude": lambda x, power: losses.mean_square(x), "total_variation": losses.total_variation}
+OF_PARAMETERS = {"magnitude": lambda x, power: losses.mean_square(x), "total_variation": losses.total_variation,
+                 "tint": lambda x, power: losses.tint(x)}
 LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "specular": (0.0, None), "gloss": (1.0, None),
           "scale": (1e-3, None), "roughness": (LEAST_ROUGHNESS, 1.0), "metallic": (0.0, 1.0), "emissive": (0.0, None)}
 
@@ -219,7 +220,7 @@ def phase_of(t: Table, parts: Sequence[str]) -> _PhaseTable:
 
 def _term(t: Table, steps: int, parts: Sequence[str]) -> _Term:
     kind = t.word("kind", allowed=(*OF_IMAGES, *OF_MESHES, *OF_PARAMETERS))
-    own = {"magnitude": ("parameter",), "total_variation": ("parameter", "power")}
+    own = {"magnitude": ("parameter",), "tint": ("parameter",), "total_variation": ("parameter", "power")}
     allowed = ("norm", "masked") if kind in OF_IMAGES else own.get(kind, ("power", "part"))
     if wrong := [key for key in t.has("norm", "masked", "power", "part", "parameter") if key not in allowed]:
         raise t.conflict(f"{wrong[0]} is no setting of loss {kind}; drop it")
@@ -357,8 +358,8 @@ def _value(scene: Scene, term: _Term, frame: Frame, target: Node, background: No
         if term.parameter not in scene.parameters:
             raise InputError(f"parameter is {term.parameter!r}; there are: {' '.join(scene.parameters)}")
         node = scene.parameters[term.parameter].node
-        if term.kind == "total_variation" and scene.program.values[term.parameter].layout.kind != "image":
-            raise InputError(f"parameter {term.parameter} is no image; total_variation is of textures and environments")
+        if term.kind in ("total_variation", "tint") and scene.program.values[term.parameter].layout.kind != "image":
+            raise InputError(f"parameter {term.parameter} is no image; {term.kind} is of textures and environments")
         return OF_PARAMETERS[term.kind](node, term.power)
     if term.part is not None:
         part = next(p for p in scene.parts if p.name == term.part)

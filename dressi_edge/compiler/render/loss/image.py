@@ -112,6 +112,16 @@ def total_variation(image: Node, power: int = 1, cell: tuple[int, int] | None = 
     return _image_mean(each[0] + each[1], image.channels, mask)
 
 
+def tint(image: Node, mask: Node | None = None) -> Node:
+    """Mean over texels and channels of |c - mean of the texel's channels|: how far colours are from grey. Of an environment's map: light
+    and colours of surfaces share what is seen, and of the two it is the light that is nearly white (Munkberg et al. 2022).
+
+    image: a vec image. mask: a float image in [0, 1] that weighs each texel. Raises GraphError."""
+    if not isinstance(image, Node) or is_int(image.vtype) or image.channels < 2:
+        raise GraphError(f"tint: the image is {image!r:.60}; a vec image is needed")
+    return _image_mean(_channel_sum(absolute(image - _channel_sum(image) * (1.0 / image.channels))), image.channels, mask)
+
+
 def pyramid_l1(image: Node, target: Node, levels: int = 4, cell: tuple[int, int] | None = None, mask: Node | None = None) -> Node:
     """Mean over `levels` levels of the L1 of the difference halved 0, 1, 2, ... times (`downsample`): it sees how far away a misplaced
     thing is, up to 2^(levels - 1) texels.
