@@ -176,6 +176,35 @@ def test_mistakes_are_named(folder, change, what):
         parse_job(job(**change), folder / "job.toml")
 
 
+def test_a_map_of_normals_begins_flat_where_it_is_said_or_optimized(folder, tmp_path):
+    """And goes into the file."""
+    light, whole = {"kind": "directional", "power": 2.0, "vector": [0.0, -1.0, -1.0]}, job()
+    pear = whole["part"][0] | {"material": {"kind": "pbr", "texture_size": [12, 8], "mips": True, "anisotropy": 2}}
+    phase = whole["phase"][0] | {"optimize": {"pear.normal": {"rate": 0.02}}}
+    said = parse_job(job(part=[pear | {"material": pear["material"] | {"normal": "texture"}}], light=[light],
+                         phase=[phase | {"optimize": {"pear.texture": {"rate": 0.02}}}]), folder / "job.toml")
+    named = parse_job(job(part=[pear], light=[light], phase=[phase]), folder / "job.toml")
+    for found in (said, named):
+        start = found.program.values["pear.normal"].initial
+        assert start.shape == (8, 12, 3) and (start == [0.5, 0.5, 1.0]).all()
+        source = found.scene.parts[0].material.normal.source
+        assert (source.mips, source.anisotropy) == (True, 2)
+    assert parse_job(job(part=[pear], light=[light], phase=[phase | {"optimize": {"pear.roughness": {"rate": 0.02}}}]),
+                     folder / "job.toml").scene.parts[0].material.normal is None
+    named.program.meta.update(named.record())
+    with ReferenceSession(named.program) as session:
+        texels = results.parts_of(session)[0].material.normal_texture.picture.texels()
+    np.testing.assert_allclose(texels, np.broadcast_to([0.5, 0.5, 1.0], (8, 12, 3)), atol=0.51 / 255)
+    for change, what in (({"kind": "pbr", "normal": 3}, "material.normal is 3; allowed: texture"),
+                         ({"kind": "lambert", "normal": "texture"}, "normal is no setting of lambert; drop it")):
+        with pytest.raises(InputError, match=what):
+            parse_job(job(part=[pear | {"material": change}], light=[light], phase=[phase]), folder / "job.toml")
+    save_mesh(folder / "bare.ply", replace(BALL, uvs=None, uv_faces=None))
+    ball = {"name": "ball", "path": "bare.ply", "material": {"kind": "pbr", "normal": "texture"}}
+    with pytest.raises(InputError, match="material.normal is \"texture\", but the mesh has no texture coordinates; drop it"):
+        parse_job(job(part=[whole["part"][0], ball], light=[light]), folder / "job.toml")
+
+
 def test_a_job_has_metal_and_a_tone_curve(folder, gpu):
     """A part of kind pbr whose roughness is a texture, under a spot and ambient light, exposed: the phase lowers its loss."""
     shiny = {"name": "pear", "path": "pear.glb", "material": {"kind": "pbr", "roughness": "texture", "metallic": 0.4, "two_sided": True,

@@ -11,7 +11,7 @@ from .sections import SAMPLED, mesh_of, sampled
 from .tables import Table
 
 MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
-             "pbr": ("color", "roughness", "metallic", "emissive")}
+             "pbr": ("color", "roughness", "metallic", "emissive", "normal")}
 NUMBERS = {"specular": (0.3, 0.0), "gloss": (20.0, 1.0), "roughness": (0.5, 0.0, 1.0), "metallic": (0.0, 0.0, 1.0)}  # default, limits
 MAPS = ("roughness", "metallic")  # which may be a texture
 COLORS = ("texture", "colors")
@@ -38,11 +38,11 @@ def part_of(t: Table, folder: Path) -> PartTable:
     name = t.word("name")
     if not name.replace("_", "").isalnum():
         raise t.wrong("name", name, "letters, digits and _ are allowed")
-    keys = ("kind", "color", "texture_size", "wrap", *SAMPLED, "two_sided", *NUMBERS, "emissive")
+    keys = ("kind", "color", "texture_size", "wrap", *SAMPLED, "two_sided", *NUMBERS, "emissive", "normal")
     material = t.table("material", keys) if t.has("material") else Table({}, f"{t.where}.material", (), t.source)
     kind = material.word("kind", "unlit", tuple(MATERIALS))
     lit = () if kind == "unlit" else ("two_sided",)
-    if wrong := [key for key in material.has(*NUMBERS, "emissive", "two_sided") if key not in (*MATERIALS[kind], *lit)]:
+    if wrong := [key for key in material.has(*NUMBERS, "emissive", "two_sided", "normal") if key not in (*MATERIALS[kind], *lit)]:
         raise material.conflict(f"{wrong[0]} is no setting of {kind}; drop it")
     color = material.get("color", None)
     if isinstance(color, list):
@@ -50,12 +50,13 @@ def part_of(t: Table, folder: Path) -> PartTable:
     elif color is not None:
         color = material.word("color", allowed=COLORS)
     settings = {"color": color}
-    for key in NUMBERS.keys() & {*MATERIALS[kind]}:
+    for key in (key for key in MATERIALS[kind] if key in NUMBERS):
         default, *limits = NUMBERS[key]
         mapped = key in MAPS and material.get(key, None) == "texture"
         settings[key] = "texture" if mapped else material.number(key, default, *limits)
     if kind == "pbr":
         settings["emissive"] = material.numbers("emissive", 3, (0.0, 0.0, 0.0), low=0)
+        settings["normal"] = material.word("normal", None, ("texture",))
     if lit:
         settings["two_sided"] = material.flag("two_sided", False)
     pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}

@@ -1,8 +1,8 @@
 """Jobs of several parts: [[part]] tables in, a `Scene` out. docs/job.md lists the keys.
 
 A part's parameters are named after it: `<part>.vertices`, `.rotation`, `.translation`, `.scale`, `.texture`, `.colors`, `.color`,
-`.specular`, `.gloss`, `.roughness`, `.metallic`, `.emissive`; that of the picture `exposure`; those of cameras `camera.rotation` and
-`camera.translation`; lights as ever. What no phase optimizes is a constant, but for textures, colours and lights.
+`.specular`, `.gloss`, `.roughness`, `.metallic`, `.emissive`, `.normal`; that of the picture `exposure`; those of cameras
+`camera.rotation` and `camera.translation`; lights as ever. What no phase optimizes is a constant, but for textures, colours and lights.
 """
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..render.environment import Environment
 from ..render.frame import Frame
 from ..render.geometry import similarity
 from ..render.light import Light
-from ..render.material import BlinnPhong, Corner, Lambert, Texture, Unlit, Vertex
+from ..render.material import BlinnPhong, Corner, Lambert, NormalMap, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
 from ..render.part import Part
 from ..render.pbr import PBR
@@ -71,7 +71,9 @@ OF_MESHES = {"laplacian": losses.uniform_laplacian, "cotangent_laplacian": losse
 OF_PARAMETERS = {"magnitude": lambda x, power: losses.mean_square(x), "total_variation": losses.total_variation,
                  "tint": lambda x, power: losses.tint(x)}
 LIMITS = {"texture": (0.0, 1.0), "colors": (0.0, 1.0), "color": (0.0, 1.0), "specular": (0.0, None), "gloss": (1.0, None),
-          "scale": (1e-3, None), "roughness": (LEAST_ROUGHNESS, 1.0), "metallic": (0.0, 1.0), "emissive": (0.0, None)}
+          "scale": (1e-3, None), "normal": (0.0, 1.0), "roughness": (LEAST_ROUGHNESS, 1.0), "metallic": (0.0, 1.0), "emissive": (0.0, None)}
+
+FLAT = (0.5, 0.5, 1.0)  # of a map of normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,11 +251,13 @@ class _Builder:
             mesh = linear_mesh(mesh)
         positions, moved = self._positions(p, mesh)
         settings = {"color": self._color(p, mesh)}
-        settings |= {key: self._setting(p, mesh, key) for key in p.settings if key not in ("color", "two_sided")}
+        settings |= {key: self._setting(p, mesh, key) for key in p.settings if key not in ("color", "two_sided", "normal")}
         if "two_sided" in p.settings:
             settings["two_sided"] = p.settings["two_sided"]
         if p.kind == "pbr":
             settings["environment"] = self.surroundings
+            if p.settings["normal"] or f"{p.name}.normal" in self.optimized:
+                settings["normal"] = NormalMap(self._map(p, mesh, "normal", FLAT))
         if p.kind != "unlit":
             settings["lights"] = self._lights(p)
         make = KINDS[p.kind]
@@ -264,14 +268,16 @@ class _Builder:
 
     def _setting(self, p: PartTable, mesh: Mesh, key: str):
         """A setting of a part's material: numbers, or the parameter of that name if it is optimized, or a texture."""
-        name, value = f"{p.name}.{key}", p.settings[key]
-        if value == "texture":
-            if mesh.uvs is None:
-                raise InputError(f"material.{key} is \"texture\", but the mesh has no texture coordinates; give a number, or a mesh that "
-                                 "has them")
-            image = np.full((*p.texture_size[::-1], 1), NUMBERS[key][0])
-            return Texture(self.scene.parameter(name, image, *LIMITS[key], kind="image"), p.wrap or mesh.wrap, **p.sampled)
-        return self._number(name, value)
+        value = p.settings[key]
+        return self._map(p, mesh, key, NUMBERS[key][:1]) if value == "texture" else self._number(f"{p.name}.{key}", value)
+
+    def _map(self, p: PartTable, mesh: Mesh, key: str, start: Sequence[float]) -> Texture:
+        """A texture that starts as one value."""
+        if mesh.uvs is None:
+            raise InputError(f"material.{key} is \"texture\", but the mesh has no texture coordinates; "
+                             f"{'drop it' if key == 'normal' else 'give a number'}, or give a mesh that has them")
+        image = np.full((*p.texture_size[::-1], len(start)), start)
+        return Texture(self.scene.parameter(f"{p.name}.{key}", image, *LIMITS[key], kind="image"), p.wrap or mesh.wrap, **p.sampled)
 
     def _number(self, name: str, value):
         """Numbers of a material, or the parameter of that name if it is optimized."""
