@@ -194,6 +194,25 @@ def test_gradients_of_everything_are_central_differences(gradient):
             assert abs(slope) > 1e-4 and slope == pytest.approx((x * direction).sum(), rel=2e-3 if name == "turn" else 1e-4), name
 
 
+def test_a_black_sky_has_the_gradient_of_light_that_may_come():
+    """Of the map central differences; roughness, strength and rotation change nothing there."""
+    s, rng = Scene(orbit(1, [20], 2.6, 40, (12, 10))), np.random.default_rng(7)
+    around = Environment(s.parameter("sky", np.zeros((16, 16, 3)), low=0.0, kind="image"), s.parameter("turn", [0.2, -0.5, 0.1]),
+                         s.parameter("strength", 0.8))
+    s.add(icosphere(1, 0.8), material=PBR((0.8, 0.6, 0.4), s.parameter("roughness", 0.35), 0.7, environment=around))
+    s.surroundings = around
+    s.vjp("back", list(s.parameters), color=s.frame().color)
+    with ReferenceSession(s.program) as exact:
+        g, direction = rng.normal(size=exact.shape("back.color.grad")), rng.normal(size=(16, 16, 3))
+        assert (exact.forward("back")["color"] == 0).all()
+        one, after = exact.backward("back", color=g), []
+        assert all((one[name] == 0).all() for name in ("turn", "strength", "roughness"))
+        for sign in (1, -1):
+            exact.set("sky", sign * 1e-3 * direction)
+            after.append((exact.forward("back")["color"] * g).sum())
+        assert (after[0] - after[1]) / 2e-3 == pytest.approx((one["sky"] * direction).sum(), rel=1e-8)
+
+
 def test_the_device_agrees_with_the_reference(gpu):
     s, rng = scene(), np.random.default_rng(6)
     with ReferenceSession(s.program) as exact, runtime.load(gpu.compile(s.program), gpu.device) as session:

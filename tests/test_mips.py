@@ -136,6 +136,27 @@ def test_the_gradient_is_the_transpose_of_the_sample(gpu, size, wrap):
     np.testing.assert_allclose(device["gradient"], g, atol=4e-5 * max(1, abs(g).max()))
 
 
+@pytest.mark.parametrize("wrap", ["repeat", "clamp"])
+def test_samples_and_gradients_at_the_bounds_of_levels(gpu, wrap):
+    """At whole levels, a hair beside them, at the first and the last and beyond: the transpose, on the device as in float64, and a sample
+    that goes from one level to the next without a step."""
+    s, feed = Sampling(37, 21, wrap), values(37, 21)
+    last = Pyramid(37, 21).last
+    whole = np.random.default_rng(5).integers(-1, last + 2, feed["lod"].shape).astype(float)
+    beside = [evaluate([s.y], {**feed, "lod": whole + h})[0] for h in (-1e-9, 0.0, 1e-9)]
+    np.testing.assert_allclose(beside[0], beside[1], atol=1e-7)
+    np.testing.assert_allclose(beside[2], beside[1], atol=1e-7)
+    for lod in (whole, fp32(np.nextafter(np.float32(whole), np.float32(-9))), fp32(np.nextafter(np.float32(whole), np.float32(99)))):
+        at = {**feed, "lod": lod}
+        y, g = evaluate([s.y, s.gradient], at)
+        other = np.random.default_rng(9).normal(size=feed["texture"].shape)
+        product = (evaluate([s.y], {**at, "texture": other})[0] * feed["g"]).sum()
+        assert (other * g).sum() == pytest.approx(product, rel=1e-10, abs=1e-10)
+        device = gpu.run(s.program, at)
+        np.testing.assert_allclose(device["y"], y, atol=4e-5)
+        np.testing.assert_allclose(device["gradient"], g, atol=4e-5 * max(1, abs(g).max()))
+
+
 @pytest.mark.parametrize("size", [(4, 4), pytest.param((5, 2), marks=pytest.mark.full), (300, 200)], ids=str)
 def test_many_pixels_on_few_texels_are_summed_in_runs(gpu, size):
     """72,261 pixels: of 4 x 4 texels each gets thousands, in sums of at least 128 each."""

@@ -20,9 +20,11 @@ from dressi_edge.compiler.scene import (
     Adam,
     BlinnPhong,
     Channel,
+    Environment,
     Lambert,
     Light,
     Mesh,
+    NormalMap,
     Product,
     Scene,
     Schedule,
@@ -152,7 +154,7 @@ def slopes(node, of, feed, direction, h):
     return (out[0] - out[1]) / (2 * h)
 
 
-CASES = {"all sorts": {}, "roughness 0.03": {"roughness": 0.03}, "metal": {"metallic": 1.0}, "black": {"color": 0.0}}
+CASES = {"all sorts": {}, "roughness 0.03": {"roughness": 0.03}, "metal": {"metallic": 1.0}, "black": {"color": 0.0}, "grazing": {}}
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.replace(" ", "_"))
@@ -168,6 +170,9 @@ def test_every_gradient_is_the_central_difference(case):
     if case == "roughness 0.03":  # the lamp is in the highlight
         n, v = values["normal"], values["to_eye"]
         values["at"] = values["position"] + 2 * unit(2 * dots(n, v) * n - v + 2e-3 * rng.normal(size=n.shape))
+    if case == "grazing":  # cosines of the eye of 0.002 to 0.05
+        n = values["normal"]
+        values["to_eye"] = unit(unit(np.cross(n, rng.normal(size=n.shape))) + rng.uniform(0.002, 0.05, shape) * n)
     given = Given(**values)
     x = given.nodes
 
@@ -223,6 +228,64 @@ def test_the_device_gives_the_gradients_of_the_reference(gpu):
             assert np.linalg.norm(two[name] - x) <= 1e-3 * np.linalg.norm(x), name
             assert np.linalg.norm(x) > 0, name
     gpu.silent()
+
+
+SETTINGS = {"color": 3, "roughness": 1, "metallic": 1, "occlusion": 1, "emissive": 3, "normal": 3}  # channels
+SIZES = ((6, 9), (4, 5), (3, 8), (10, 7), (5, 5), (16, 12))  # of their textures
+
+
+def set_by(kind):
+    """A material each of whose settings is a parameter: one value, a value of each vertex, or a texture of a size of its own."""
+    def make(s, mesh):
+        rng, found = np.random.default_rng(8), {}
+        for (key, channels), size in zip(SETTINGS.items(), SIZES):
+            shape = {"one": (), "vertices": (len(mesh.positions),), "textures": size}[kind]
+            value = rng.uniform(0.3, 0.8, (*shape, channels) if channels > 1 or kind == "textures" else shape)
+            node = s.parameter(f"m.{key}", value, kind={"one": None, "vertices": "table", "textures": "image"}[kind])
+            found[key] = {"one": lambda x: x, "vertices": Vertex, "textures": Texture}[kind](node)
+        found["normal"] = NormalMap(found["normal"])
+        return PBR(**found, lights=[SUN, LAMP, SPOT, Light("ambient", 0.2)], environment=Environment(SKY))
+    return make
+
+
+SKY = np.random.default_rng(9).uniform(0.0, 1.0, (16, 16, 3))
+
+
+@pytest.mark.parametrize("kind", [*(pytest.param(k, marks=pytest.mark.full) for k in ("one", "vertices")), "textures"])
+def test_each_setting_may_be_one_value_one_of_each_vertex_or_a_texture(gpu, kind):
+    """Under all kinds of light together: gradients are central differences, relative 1e-4, and the device's are the reference's."""
+    scene, rng = scene_of(set_by(kind), sphere(42, 0.8), (24, 20)), np.random.default_rng(7)
+    assert set(scene.parameters) == {f"m.{key}" for key in SETTINGS}
+    with ReferenceSession(scene.program) as exact, runtime.load(gpu.compile(scene.program), gpu.device) as s:
+        g = rng.normal(size=s.shape("back.color.grad"))
+        np.testing.assert_allclose(s.forward("back")["color"], exact.forward("back")["color"], rtol=1e-4, atol=3e-4)
+        one, two = exact.backward("back", color=g), s.backward("back", color=g)
+        for name, x in one.items():
+            assert np.linalg.norm(two[name] - x) <= 1e-3 * np.linalg.norm(x) and np.linalg.norm(x) > 0, name
+            start, direction, after = exact.get(name), rng.normal(size=exact.shape(name)), []
+            for sign in (1, -1):
+                exact.set(name, start + sign * 1e-6 * direction)
+                after.append((exact.forward("back")["color"] * g).sum())
+            exact.set(name, start)
+            assert (after[0] - after[1]) / 2e-6 == pytest.approx((x * direction).sum(), rel=1e-4), name
+    gpu.silent()
+
+
+def test_light_of_all_kinds_adds_up():
+    """What lamps give, what comes from everywhere and what the surroundings give: the picture under all is the sum of three."""
+    lamps, ambient, around = {"lights": [SUN, LAMP, SPOT]}, {"lights": [Light("ambient", 0.3)]}, {"environment": Environment(SKY)}
+
+    def picture(**light):
+        s = Scene(orbit(2, [20, -15], 2.6, 40, (40, 30)))
+        s.add(sphere(162, 0.8), material=PBR((0.7, 0.5, 0.3), 0.4, 0.3, 0.8, **light))
+        s.output("o", color=s.frame().color)
+        with ReferenceSession(s.program) as session:
+            return session.get("o.color")
+
+    parts = [picture(**x) for x in (lamps, ambient, around)]
+    assert all(x.max() > 0.05 for x in parts)
+    both = picture(lights=[*lamps["lights"], *ambient["lights"]], **around)
+    np.testing.assert_allclose(both, sum(parts), atol=1e-12)
 
 
 def test_what_cannot_be_shaded_stays_finite(gpu):
