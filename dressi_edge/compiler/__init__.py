@@ -100,7 +100,7 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
         program = checked("halved", halve(program))
     kind = choose_compute(options.compute, profile)
     groups = checked("simplified", lowered(grouped(program), room(kind, profile)))
-    groups = written = checked("banded", banded(groups, program))  # kept, so that lists which are made again are known to be the same
+    groups = checked("banded", banded(groups, program))
     rows = options.rows or rows_of(profile)
     groups = tuple(laid(group, rows) for group in groups)
     if options.lists is not None:
@@ -109,7 +109,6 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     groups = tuple(map(late, groups))
     if options.cache and not options.naive:
         groups = checked("listed", tuple(laid(find_still(group), rows) for group in groups))
-        del written
         groups = checked("ordered", tuple(in_order(group, program, profile) for group in groups))
     graphs = checked("specialized", plan_graphs(groups, program, options.cache))
     graphs = checked("stored", tuple(stored(plan, program) for plan in graphs))
