@@ -66,12 +66,12 @@ def reads_of(p: Pyramid, uv: Node, lod: Node, covered: Node, wrap: tuple[str, st
     footprint = apply("mip_footprint", uv, lod, covered, across=places.width, wrap=wrap, **size)
     asked = compact(apply("greater_equal", apply("swizzle", footprint, channels="x"), 0.0), 1, columns(footprint.extent.count))
     ordered = sorted_list(footprint, places.width, asked)
-    starts = apply("mip_starts", ordered, asked.total, run=run_length(2 * uv.extent.count, p.starts[-1]),
-                   count=footprint.extent.count)
-    runs = compact(starts, 1, columns(starts.extent.count))
+    count, run = footprint.extent.count, run_length(2 * uv.extent.count, p.starts[-1])
+    starts = apply("mip_starts", ordered, asked.total, run=run, count=count)
+    runs = compact(starts, 1, columns(min(count, p.starts[-1] + -(-count // run))))
     spans = apply("mip_spans", runs.entries, runs.total, asked.total)
     cells = apply("listed_bins", lookup(ordered, apply("swizzle", spans, channels="x")), runs.total, extent=places)
-    touched = compact(apply("mip_touched", cells, **size), 1, columns(min(cells.extent.count, 4 * footprint.extent.count)))
+    touched = compact(apply("mip_touched", cells, **size), 1, columns(min(cells.extent.count, 4 * count)))
     return Reads(apply("mip_reads", ordered, footprint, lod, **size), spans, cells, touched)
 
 
