@@ -18,6 +18,7 @@ from dressi_edge.compiler.io.images import srgb_to_linear
 from dressi_edge.compiler.io.materials import Material, Part, TextureMap
 from dressi_edge.compiler.io.textures import Picture
 from dressi_edge.compiler.io.writers import save_png
+from dressi_edge.compiler.passes.blocks import TOLD
 from dressi_edge.compiler.render.texture import probes
 from dressi_edge.compiler.scene import (
     Adam,
@@ -96,6 +97,25 @@ def test_the_gradient_through_probes_is_exact(gpu, tmp_path):
     how = {"wrap": ("repeat", "clamp"), "transform": ((2.0, 0.1, 0.2), (0.0, 1.5, 0.0))}
     scene = scene_with(lambda t: Texture(t, mips=True, anisotropy=3, **how), cameras=1)
     check_gradient(gpu, scene, tmp_path, 2e-4)
+
+
+def test_all_samples_of_a_pixel_are_in_one_list(gpu, tmp_path):
+    """Moments are then kept by blocks; what is kept of places that rest changes no bit, nor does that."""
+    fits = []
+    for how in ({"sparse_texels": 1}, {}, {"cache": False}):
+        scene = scene_with(lambda t: Texture(t, mips=True, anisotropy=4), cameras=2)
+        seen = scene.frame(HardSoftRas(r=1.0, delta=0.0))
+        photo = scene.input("photo", np.random.default_rng(1).random((2, *seen.cell[::-1], 3)))
+        scene.phase("fit", 10, {"texture": Adam(0.05)}, color=l2(seen.color, photo))
+        d = scene.compile("lavapipe", tmp_path / "a.dressi", **how)
+        with runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+            session.step(5, "fit")
+            fits.append(session.get("texture"))
+        if how.get("sparse_texels"):
+            assert d["meta"]["texels"]["fit"]["texture"] == TOLD
+    np.testing.assert_array_equal(fits[0], fits[1])
+    np.testing.assert_array_equal(fits[0], fits[2])
+    gpu.silent()
 
 
 def test_what_anisotropy_cannot_be_is_named():

@@ -72,7 +72,7 @@ def test_every_row_has_its_place_in_these_tests():
     assert leaves == {"literal", "constant", "input", "state", "cached"}
     assert {o.stage for o in OPS.values()} == {"leaf", "inline", "pixel", "raster", "kernel", "composite"}
     assert {o.name for o in OPS.values() if o.stage == "composite"} == {
-        "sum", "exclusive_scan", "bincount", "sample_mips", "sample_lobes"}
+        "sum", "exclusive_scan", "bincount", "sample_mips", "sample_along", "sample_lobes"}
     assert all((o.kernel is not None) == (o.stage == "kernel") for o in OPS.values())
     assert {"rasterize", "rasterize_covered", "rasterize_first", "rasterize_hard", "rasterize_peel",
             "rasterize_segments", "rasterize_contours"} == {o.name for o in RASTER}
@@ -167,6 +167,7 @@ class Case(NamedTuple):
 
 DEFAULT_RTOL = 2e-6
 RTOL = {"pow": 2e-5, "sample": 1e-5, "sample_uv_gradient": 1e-5, "sample_mips": 1e-5, "mip_slopes": 1e-5, "mip_footprint": 1e-5,
+        "mip_footprints": 1e-5, "sample_along": 1e-5, "levels_along": 1e-5,
         "exp": 1e-5, "sigmoid": 1e-5, "sinh": 2e-5, "cosh": 2e-5, "exp2": 1e-5,
         **{o.name: 1e-5 for o in OPS.values() if o.name.startswith("soft_")}}
 SPECIAL = np.array([0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 1e-6, -1e-6, 1e-30, -1e-30, 70.0, -70.0, 16777216.0,

@@ -77,7 +77,7 @@ class Texture:
     The coordinates are then the mesh's own or `Coordinates`. bias: added to the level; below 0 sharper. The texture's gradient is exact
     through all levels; an optimizer then updates every texel. How the level changes as vertices move is not in gradients.
     anisotropy: with mips, how many trilinear samples a pixel takes along the longer axis of its ellipse on the texture, 1 to 16, and then
-    their mean: a face seen at a slant is neither blurred nor does it alias; each costs as much as the first.
+    their mean: a face seen at a slant is neither blurred nor does it alias. 4 make a step twice as long.
     srgb: the image holds sRGB values and is decoded before anything is averaged. Raises InputError."""
 
     image: Node | np.ndarray
@@ -123,21 +123,13 @@ class Texture:
             corners = moved(s.uv_corners if self.uv is None else self.uv.corners, self.transform)
             uv = s.corner(corners)
             if self.anisotropy > 1:
-                return self._along(s, image, uv, *s.probes(image, corners, self.anisotropy, self.bias))
+                return s.probes(image, uv, corners, self.anisotropy, self.wrap, self.gradient, self.bias)
             lod = s.level_of_detail(image, corners, self.bias) if self.mips else None
             return s.texture(image, uv, self.wrap, self.gradient, lod)
         uv = evaluate(self.uv, s)
         if not plain:
             uv = compose(*(row[0] * uv.x + row[1] * uv.y + row[2] for row in self.transform))
         return s.texture(image, uv, self.wrap, self.gradient)
-
-    def _along(self, s: Surface, image: Node, uv: Node, apart: Node, lod: Node) -> Node:
-        """The mean of samples that stand evenly about uv."""
-        first, *more = (s.texture(image, uv + apart * (k - 0.5 * (self.anisotropy - 1)), self.wrap, self.gradient, lod)
-                        for k in range(self.anisotropy))
-        for x in more:
-            first = first + x
-        return first * (1.0 / self.anisotropy)
 
 
 @dataclass(frozen=True)

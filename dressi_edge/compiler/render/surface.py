@@ -16,7 +16,7 @@ from ..graph.ir import Node
 from ..graph.optable import as_node
 from .normals import unit_face_normals, vertex_normals
 from .tangents import handedness, tangent_table
-from .texture import Wrap, level_of_detail, probes, sample_texture
+from .texture import Wrap, level_of_detail, probes, sample_probes, sample_texture
 
 if TYPE_CHECKING:
     from .frame import Frame
@@ -206,9 +206,14 @@ class Surface:
         sampled, the part's own by default; see `texture.level_of_detail`."""
         return level_of_detail(*self.slopes(self.uv_corners if corners is None else corners), image.extent, bias)
 
-    def probes(self, image: Node, corners: np.ndarray, count: int, bias: float = 0.0) -> tuple[Node, Node]:
-        """How far so many samples of a pixel stand from one another in coordinates, and their mip level; see `texture.probes`."""
-        return probes(*self.slopes(corners), image.extent, count, bias)
+    def probes(self, image: Node, uv: Node, corners: np.ndarray, count: int, wrap: Wrap = "repeat", gradient: str = "exact",
+               bias: float = 0.0) -> Node:
+        """The mean of so many trilinear samples of an image along the longer axis of what a pixel sees of it, at uv, which corners
+        (F, 3, 2) give; zero outside the part; see `texture.probes`."""
+        if gradient == "inverse_uv" and self.step is None:
+            gradient = "none"
+        apart, lod = probes(*self.slopes(corners), image.extent, count, bias)
+        return sample_probes(image, uv, apart, lod, count, wrap, gradient, self.inside)
 
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""

@@ -7,8 +7,10 @@ from __future__ import annotations
 from ...cache.errors import GraphError, InputError
 from ..graph.functions import absolute, apply, clamp, compose, dot, maximum, select, sqrt, stop_gradient
 from ..graph.ir import UNIT, Extent, Node
+from ..graph.ops.mip_along import sample_along
 from ..graph.ops.mip_pyramid import LEAST
 from ..graph.ops.mips import sample_mips
+from ..graph.ops.texture_sort import MAX_PIXELS
 from ..graph.optable import as_node
 
 GRADIENTS = ("exact", "inverse_uv", "none")
@@ -109,3 +111,16 @@ def sample_texture(texture: Node, uv: Node, wrap: Wrap = "repeat", gradient: str
     else:
         color = apply("sample_inverse", texture, uv, mask, step, wrap=wrap)
     return color if covered is None else select(covered, color, 0.0)
+
+
+def sample_probes(texture: Node, uv: Node, apart: Node, lod: Node, count: int, wrap: Wrap = "repeat", gradient: str = "exact",
+                  covered: Node | None = None) -> Node:
+    """The mean of `count` trilinear samples (1 or more) that are `apart` and stand evenly about uv (`probes`); else as `sample_texture`."""
+    kinds, e = wraps_of(wrap), uv.extent
+    if count > 1 and gradient in ("exact", "none") and "mirror" not in kinds and covered is not None \
+            and max(texture.extent.width, texture.extent.height) >= LEAST and count * e.width * e.height <= MAX_PIXELS:
+        return sample_along(stop_gradient(texture) if gradient == "none" else texture, uv, apart, lod, covered, kinds, count)
+    first, *more = (sample_texture(texture, uv + apart * (k - 0.5 * (count - 1)), wrap, gradient, covered, lod=lod) for k in range(count))
+    for x in more:
+        first = first + x
+    return first * (1.0 / count)

@@ -13,6 +13,7 @@ from . import (
     lobes,
     lookup,
     matrix,
+    mip_along,
     mip_blocks,
     mip_gradient,
     mip_lists,

@@ -23,11 +23,13 @@ from .stencil import upsample
 FOLD = 4  # the level that gets what all coarser ones get at once
 
 
-def transpose(g: Node, uv: Node, lod: Node, covered: Node, extent: Extent, wrap: tuple[str, str]) -> Node:
-    """The gradient of a texture of `extent`."""
+def transpose(g: Node, uv: Node, lod: Node, covered: Node, extent: Extent, wrap: tuple[str, str], apart: Node | None = None,
+              count: int = 1) -> Node:
+    """The gradient of a texture of `extent`, of which a pixel has one sample, or the mean of `count` that are `apart`."""
     p = Pyramid(extent.width, extent.height)
     size = {"width": p.width, "height": p.height}
-    r = reads_of(p, *over(g.extent, uv, lod, covered), wrap)
+    uv, lod, covered, *more = over(g.extent, uv, lod, covered, *([] if apart is None else [apart]))
+    r = reads_of(p, uv, lod, covered, wrap, *more, count=count)
     sums = [apply(f"mip_sums_{corner}", g, r.spans, r.reads, pixels=g.extent.count) for corner in ("00", "10", "01", "11")]
     around = [apply("mip_around", r.cells, r.touched.entries, ends=ends, **size) for ends in (0, 1)]
     each = apply("mip_meet", *sums, *around, 1.0 if p.even else apply("mip_share", r.touched.entries, **size))

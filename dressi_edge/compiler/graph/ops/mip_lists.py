@@ -2,7 +2,8 @@
 
     uv, lod, covered -> footprint -> reads, sorted by cell -> runs -> cells of texels -> touched texels
 
-Each pixel is two bilinear reads, 2 k and 2 k + 1: of its level and of the next. A read lies in a cell, between four texels; a cell is known
+Each sample is two bilinear reads, 2 k and 2 k + 1: of its level and of the next. A pixel has one sample, or several that stand evenly on a
+line (`mip_along.py`): sample n of pixel g is number k = n x pixels + g. A read lies in a cell, between four texels; a cell is known
 by the number of the texel at its lower corner among the texels of all levels, and wraps within its level. Where many pixels see few
 texels, a cell's reads are several runs of a fixed length. No list depends on the texture.
 """
@@ -60,19 +61,23 @@ class Reads:
     touched: Compact
 
 
-def reads_of(p: Pyramid, uv: Node, lod: Node, covered: Node, wrap: tuple[str, str]) -> Reads:
-    """The lists of a sample at these coordinates."""
+def reads_of(p: Pyramid, uv: Node, lod: Node, covered: Node, wrap: tuple[str, str], apart: Node | None = None, count: int = 1) -> Reads:
+    """The lists of a sample at these coordinates, or of `count` that are `apart` from one another."""
     size, places = {"width": p.width, "height": p.height}, numbered(p)
-    footprint = apply("mip_footprint", uv, lod, covered, across=places.width, wrap=wrap, **size)
+    several = {} if count == 1 else {"count": count}
+    if several:
+        footprint = apply("mip_footprints", uv, apart, lod, covered, across=places.width, wrap=wrap, **size, **several)
+    else:
+        footprint = apply("mip_footprint", uv, lod, covered, across=places.width, wrap=wrap, **size)
     asked = compact(apply("greater_equal", apply("swizzle", footprint, channels="x"), 0.0), 1, columns(footprint.extent.count))
     ordered = sorted_list(footprint, places.width, asked)
-    count, run = footprint.extent.count, run_length(2 * uv.extent.count, p.starts[-1])
-    starts = apply("mip_starts", ordered, asked.total, run=run, count=count)
-    runs = compact(starts, 1, columns(min(count, p.starts[-1] + -(-count // run))))
+    reads, run = footprint.extent.count, run_length(2 * count * uv.extent.count, p.starts[-1])
+    starts = apply("mip_starts", ordered, asked.total, run=run, count=reads)
+    runs = compact(starts, 1, columns(min(reads, p.starts[-1] + -(-reads // run))))
     spans = apply("mip_spans", runs.entries, runs.total, asked.total)
     cells = apply("listed_bins", lookup(ordered, apply("swizzle", spans, channels="x")), runs.total, extent=places)
-    touched = compact(apply("mip_touched", cells, **size), 1, columns(min(cells.extent.count, 4 * count)))
-    return Reads(apply("mip_reads", ordered, footprint, lod, **size), spans, cells, touched)
+    touched = compact(apply("mip_touched", cells, **size), 1, columns(min(cells.extent.count, 4 * reads)))
+    return Reads(apply("mip_reads", ordered, footprint, lod, **size, **several), spans, cells, touched)
 
 
 def over(extent: Extent, *nodes: Node) -> tuple[Node, ...]:
@@ -83,18 +88,31 @@ def over(extent: Extent, *nodes: Node) -> tuple[Node, ...]:
 # ---- footprints
 
 def _footprint_infer(name, inputs, attrs):
-    uv, lod, covered = inputs
-    if uv.vtype != "vec2" or lod.vtype != "float" or covered.vtype != "int":
-        raise GraphError(f"{name}: vec2 coordinates, a float and an int mask are needed, got {uv!r}, {lod!r}, {covered!r}")
+    uv, lod, covered = inputs[0], *inputs[-2:]
+    if {x.vtype for x in inputs[:-2]} != {"vec2"} or lod.vtype != "float" or covered.vtype != "int":
+        raise GraphError(f"{name}: vec2 coordinates, a float and an int mask are needed, got {', '.join(map(repr, inputs))}")
     wraps_of(name, attrs["wrap"])
-    texels = uv.extent.width * uv.extent.height
-    if texels > MAX_PIXELS:
-        raise GraphError(f"{name}: {uv!r} has {texels} pixels; {MAX_PIXELS} are allowed")
-    return "vec4", table(2 * texels)
+    samples = uv.extent.width * uv.extent.height * attrs.get("count", 1)
+    if samples > MAX_PIXELS:
+        raise GraphError(f"{name}: {uv!r} has {samples} samples; {MAX_PIXELS} are allowed")
+    return "vec4", table(2 * samples)
 
 
 def _footprint_ref(uv, lod, covered, width, height, across, wrap):
-    p = Pyramid(width, height)
+    return _footprints_ref(uv, 0 * uv, lod, covered, width, height, across, wrap, 1)
+
+
+def _footprints_ref(uv, apart, lod, covered, width, height, across, wrap, count):
+    flat = np.concatenate([_footprint_of(uv + apart * (n - 0.5 * (count - 1)), lod, covered, Pyramid(width, height), across, wrap)
+                           for n in range(count)])
+    e = table(len(flat))
+    filled = np.tile([-1.0, 0.0, 0.0, 0.0], (e.width * e.height, 1))
+    filled[:len(flat)] = flat
+    return filled.reshape(e.height, e.width, 4)
+
+
+def _footprint_of(uv, lod, covered, p: Pyramid, across: int, wrap) -> np.ndarray:
+    """(2 pixels, 4): of one sample a pixel."""
     level, t = split_lod(lod, p.last)
     out = np.tile([-1.0, 0.0, 0.0, 0.0], (*covered.shape[:2], 2, 1))
     for k in range(p.last + 1):
@@ -106,19 +124,21 @@ def _footprint_ref(uv, lod, covered, width, height, across, wrap):
         for j in (0, 1):
             here = (level + j == k) & (covered != 0) & ((j == 0) | (t > 0))
             out[:, :, j] = np.where(here, found, out[:, :, j])
-    flat, e = out.reshape(-1, 4), table(2 * covered.size)
-    filled = np.tile([-1.0, 0.0, 0.0, 0.0], (e.width * e.height, 1))
-    filled[:len(flat)] = flat
-    return filled.reshape(e.height, e.width, 4)
+    return out.reshape(-1, 4)
 
 
 def _footprint_glsl(node: Node) -> str:
-    p, wrap, uv = Pyramid(node.attrs["width"], node.attrs["height"]), node.attrs["wrap"], node.inputs[0].extent
+    p, wrap, count = Pyramid(node.attrs["width"], node.attrs["height"]), node.attrs["wrap"], node.attrs.get("count", 1)
+    pixels = node.inputs[0].extent.width * node.inputs[0].extent.height
     none = " ".join(f"if (lo_.{c} == hi_.{c}) s_.{c} = 0.0;" for c, w in zip("xy", wrap) if w == "clamp")
-    return f"""{{ {{y}} = vec4(-1.0, 0.0, 0.0, 0.0); int g_ = min({{i}} >> 1, {uv.width * uv.height - 1}), j_ = {{i}} & 1;
+    pixel, at = f"int g_ = min({{i}} >> 1, {pixels - 1}), j_ = {{i}} & 1;", "{uv_at}(g_)"
+    if count > 1:
+        pixel = f"int n_ = ({{i}} >> 1) / {pixels}, g_ = ({{i}} >> 1) - n_ * {pixels}, j_ = {{i}} & 1;"
+        at = f"({{uv_at}}(g_) + {{apart_at}}(g_) * (float(n_) - {0.5 * (count - 1)}))"
+    return f"""{{ {{y}} = vec4(-1.0, 0.0, 0.0, 0.0); {pixel}
     float d_ = clamp({{lod_at}}(g_), 0.0, {float(p.last)}), f_ = min(floor(d_), {float(p.last - 1)}); int m_ = int(f_) + j_; f_ = d_ - f_;
-    if ({{i}} >> 1 == g_ && {{covered_at}}(g_) != 0 && (j_ == 0 || f_ > 0.0)) {{ {p.glsl}
-    {wrapped(wrap).replace("{uv}", "{uv_at}(g_)")} ivec2 z_ = (ivec2({{width}}, {{height}}) + (1 << m_) - 1) >> m_;
+    if ({f'n_ < {count}' if count > 1 else '{i} >> 1 == g_'} && {{covered_at}}(g_) != 0 && (j_ == 0 || f_ > 0.0)) {{ {p.glsl}
+    {wrapped(wrap).replace("{uv}", at)} ivec2 z_ = (ivec2({{width}}, {{height}}) + (1 << m_) - 1) >> m_;
     {texels_of(wrap)} {none}
     int q_ = o_[m_] + lo_.y * z_.x + lo_.x;
     {{y}} = vec4(q_ % {{across}}, q_ / {{across}}, s_); }} }}"""
@@ -134,6 +154,13 @@ op("mip_footprint", "uv lod covered", alike=((1, 0), (2, 0)), attrs="width heigh
    sample=lambda rng: (_pixels(rng), {**SIZE, "across": 13, "wrap": ("repeat", "clamp")}),
    doc="Of both bilinear reads of each pixel: the number of the lower texel among all levels, as column and row of an image `across` "
        "wide, and the fractions towards the next, which wraps within its level; column -1 where nothing is read.")
+
+
+op("mip_footprints", "uv apart lod covered", alike=((1, 0), (2, 0), (3, 0)), attrs="width height across wrap count", infer=_footprint_infer,
+   reads="texel texel texel texel", cost=70, ref=_footprints_ref, glsl=_footprint_glsl,
+   sample=lambda rng: ((lambda x: [x[0], rng.uniform(-0.1, 0.1, x[0].shape), *x[1:]])(_pixels(rng)),
+                       {**SIZE, "across": 13, "wrap": ("repeat", "clamp"), "count": 3}),
+   doc="mip_footprint of `count` samples a pixel that are `apart` and stand evenly about uv: of the first of each pixel, then of others.")
 
 
 # ---- reads, runs and touched texels
@@ -169,38 +196,42 @@ def _listed(values: np.ndarray, count: int) -> np.ndarray:
     return out.reshape(e.height, e.width, -1)
 
 
-def _reads_ref(ordered, footprint, lod, width, height):
-    k = np.clip(ordered[..., 1], 0, 2 * lod.size - 1)
-    t = split_lod(lod.reshape(-1)[k >> 1], Pyramid(width, height).last)[1]
-    weight = np.where(k & 1, t, 1 - t) * _level_share(Pyramid(width, height), lod, k)
-    return np.stack([k >> 1, *np.moveaxis(footprint.reshape(-1, 4)[k, 2:], -1, 0), weight], -1)
+def _reads_ref(ordered, footprint, lod, width, height, count=1):
+    sample = np.clip(ordered[..., 1], 0, 2 * count * lod.size - 1)
+    pixel, far = (sample >> 1) % lod.size, sample & 1
+    t = split_lod(lod.reshape(-1)[pixel], Pyramid(width, height).last)[1]
+    weight = np.where(far, t, 1 - t) * _level_share(Pyramid(width, height), lod, pixel, far) / count
+    return np.stack([pixel, *np.moveaxis(footprint.reshape(-1, 4)[sample, 2:], -1, 0), weight], -1)
 
 
-def _level_share(p: Pyramid, lod, k):
-    """Where all texels of a level stand for as many, 1 over how many, of reads k; else 1."""
-    level = split_lod(lod.reshape(-1)[k >> 1], p.last)[0] + (k & 1)
-    return 1.0 / (1 << 2 * np.minimum(level, p.last)) if p.even else np.ones(k.shape)
+def _level_share(p: Pyramid, lod, pixel, far):
+    """Where all texels of a level stand for as many, 1 over how many, of reads; else 1."""
+    level = split_lod(lod.reshape(-1)[pixel], p.last)[0] + far
+    return 1.0 / (1 << 2 * np.minimum(level, p.last)) if p.even else np.ones(pixel.shape)
 
 
 def _reads_infer(name, inputs, attrs):
     ordered, footprint, lod = inputs
-    if footprint.extent != table(2 * lod.extent.width * lod.extent.height) or ordered.vtype != "ivec2":
-        raise GraphError(f"{name}: an ivec2 list and two reads a pixel of {lod!r} are needed, got {ordered!r} and {footprint!r}")
+    if footprint.extent != table(2 * attrs.get("count", 1) * lod.extent.width * lod.extent.height) or ordered.vtype != "ivec2":
+        raise GraphError(f"{name}: an ivec2 list and two reads a sample of {lod!r} are needed, got {ordered!r} and {footprint!r}")
     return "vec4", ordered.extent
 
 
 def _reads_glsl(node: Node) -> str:
-    p, e = Pyramid(node.attrs["width"], node.attrs["height"]), node.inputs[2].extent
+    p, e, count = Pyramid(node.attrs["width"], node.attrs["height"]), node.inputs[2].extent, node.attrs.get("count", 1)
+    pixels = e.width * e.height
     share = " * exp2(-2.0 * (f_ + float(k_ & 1)))" if p.even else ""
-    return f"""{{ int k_ = clamp({{ordered}}.y, 0, {2 * e.width * e.height - 1});
-    float d_ = clamp({{lod_at}}(k_ >> 1), 0.0, {float(p.last)}), f_ = min(floor(d_), {float(p.last - 1)}), t_ = d_ - f_;
-    {{y}} = vec4(k_ >> 1, {{footprint_at}}(k_).zw, ((k_ & 1) == 0 ? 1.0 - t_ : t_){share}); }}"""
+    share += f" * {1.0 / count!r}" if count > 1 else ""
+    pixel = f"(k_ >> 1) % {pixels}" if count > 1 else "k_ >> 1"
+    return f"""{{ int k_ = clamp({{ordered}}.y, 0, {2 * count * pixels - 1}), g_ = {pixel};
+    float d_ = clamp({{lod_at}}(g_), 0.0, {float(p.last)}), f_ = min(floor(d_), {float(p.last - 1)}), t_ = d_ - f_;
+    {{y}} = vec4(g_, {{footprint_at}}(k_).zw, ((k_ & 1) == 0 ? 1.0 - t_ : t_){share}); }}"""
 
 
-op("mip_reads", "ordered footprint lod", attrs="width height", reads="own texel texel", cost=40, ref=_reads_ref, infer=_reads_infer,
+op("mip_reads", "ordered footprint lod", reads="own texel texel", cost=40, ref=_reads_ref, infer=_reads_infer,
    glsl=_reads_glsl, sample=lambda rng: ((lambda c: [c.ordered, c.footprint, c.lod])(Chain(rng)), dict(SIZE)),
    doc="Of each read of a list: its pixel, the fractions of its footprint, and how much of it comes from its level; divided by how many "
-       "of the texture's texels one of that level stands for, where they all stand for as many.")
+       "samples a pixel has, and by how many of the texture's texels one of that level stands for, where they all stand for as many.")
 
 
 def _starts_ref(ordered, total, run, count):

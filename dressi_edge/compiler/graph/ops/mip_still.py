@@ -8,12 +8,14 @@ first texel of the list, which costs less than a loop of no turn.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ....cache.errors import GraphError
 from ..ir import Node
 from ..optable import apply, common_extent, op
-from .mip_lists import SIZE, Chain, numbered, over, reads_of
+from .mip_lists import SIZE, Chain, Reads, numbered, over, reads_of
 from .mip_pyramid import Pyramid, found
 from .mips import MIXED, bilinear, levels_ref, mixed, split_lod, texels_of, wrapped, wraps_of
 
@@ -21,13 +23,21 @@ from .mips import MIXED, bilinear, levels_ref, mixed, split_lod, texels_of, wrap
 def still(node: Node) -> Node:
     """A `sample_levels` by a list."""
     texture, half, rest, uv, lod, covered = node.inputs
-    p, wrap = Pyramid(texture.extent.width, texture.extent.height), node.attrs["wrap"]
-    size = {"width": p.width, "height": p.height}
     uv, lod, covered = over(node.extent, uv, lod, covered)
-    touched = reads_of(p, uv, lod, covered, wrap).touched
-    entries = apply("mip_texels", apply("mip_where", touched.entries, **size), texture, half, rest)
-    near, far = (apply("mip_places", touched.slots, uv, lod, covered, second=k, wrap=wrap, **size) for k in (0, 1))
-    return apply("sample_touched", entries, near, far, apply("mip_fractions", uv, lod, wrap=wrap, **size), lod, last=p.last)
+    p, wrap = Pyramid(texture.extent.width, texture.extent.height), node.attrs["wrap"]
+    sample, = by_list((texture, half, rest), [uv], lod, covered, wrap, reads_of(p, uv, lod, covered, wrap))
+    return sample
+
+
+def by_list(levels: Sequence[Node], at: Sequence[Node], lod: Node, covered: Node, wrap: tuple[str, str], reads: Reads) -> list[Node]:
+    """Samples at these coordinates of a texture, its half and its rest, by a list of what they read."""
+    extent = levels[0].extent
+    size = {"width": extent.width, "height": extent.height}
+    entries = apply("mip_texels", apply("mip_where", reads.touched.entries, **size), *levels)
+    slots, last = reads.touched.slots, Pyramid(**size).last
+    return [apply("sample_touched", entries,
+                  *(apply("mip_places", slots, uv, lod, covered, second=k, wrap=wrap, **size) for k in (0, 1)),
+                  apply("mip_fractions", uv, lod, wrap=wrap, **size), lod, last=last) for uv in at]
 
 
 def _where_ref(entries, width, height):

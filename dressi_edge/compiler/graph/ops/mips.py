@@ -152,7 +152,7 @@ def mixed(four, fx, fy):
     return (t00 * (1 - fx) + t10 * fx) * (1 - fy) + (t01 * (1 - fx) + t11 * fx) * fy
 
 
-def _sample_ref(texture, half, rest, uv, lod, covered, wrap):
+def sample_ref(texture, half, rest, uv, lod, covered, wrap):
     y = sum(weight * mixed(four, fx, fy) for weight, _, four, fx, fy, _ in _of_levels(texture, half, rest, uv, lod, wrap))
     return np.where(covered != 0, y, 0)
 
@@ -178,7 +178,7 @@ def _slopes_ref(texture, half, rest, uv, lod, g, wrap):
     return total
 
 
-def _infer(name, inputs, attrs):
+def infer(name, inputs, attrs):
     texture, uv, lod = inputs[0], *inputs[-3:-1]
     if max(texture.extent.width, texture.extent.height) < LEAST:
         raise GraphError(f"{name}: mip levels of {texture!r}, {texture.extent}; at least {LEAST} texels on one side are needed")
@@ -188,8 +188,8 @@ def _infer(name, inputs, attrs):
     return texture.vtype, common_extent(name, inputs[-3:])
 
 
-def _levels_infer(name, inputs, attrs):
-    found, (texture, half, rest, *_) = _infer(name, inputs, attrs), inputs
+def levels_infer(name, inputs, attrs):
+    found, (texture, half, rest, *_) = infer(name, inputs, attrs), inputs
     p = Pyramid(texture.extent.width, texture.extent.height)
     if (half.extent, rest.extent) != (image(*p.size(1)), p.rest) or {half.vtype, rest.vtype} != {texture.vtype}:
         raise GraphError(f"{name}: {half!r} and {rest!r} are not the levels of {texture!r}; levels() makes them")
@@ -240,8 +240,9 @@ def _turns(node: Node, left_out: str, body: str) -> str:
 MIXED = "mix(mix(t00_, t10_, s_.x), mix(t01_, t11_, s_.x), s_.y)"
 
 
-def _sample_glsl(node: Node) -> str:
-    return "{ {y} = {type}(0); " + _turns(node, "{covered} == 0", "{y} += w_ * " + MIXED + ";") + " }"
+def sample_glsl(node: Node, y: str = "{y}") -> str:
+    """GLSL of a sample at {uv}, into the variable y."""
+    return f"{{ {y} = {{type}}(0); " + _turns(node, "{covered} == 0", f"{y} += w_ * {MIXED};") + " }"
 
 
 def _slopes_glsl(node: Node) -> str:
@@ -266,7 +267,7 @@ def _still(node: Node) -> Node:
     return still(node)
 
 
-def _arguments(rng, width=13, height=6):
+def arguments(rng, width=13, height=6):
     texture = rng.normal(size=(height, width, 3))
     return [texture, *levels_ref(texture), rng.uniform(-0.4, 1.4, (6, 5, 2)), rng.uniform(-0.5, 4.5, (6, 5, 1))]
 
@@ -276,18 +277,18 @@ def _covered(arguments, rng):
 
 
 WHOLE = "its mip levels are means of all its texels"
-op("sample_mips", "texture uv lod covered", attrs="wrap", stage="composite", infer=_infer, reads="texel own own own", vjp=_sample_vjp,
-   ref=lambda texture, uv, lod, covered, wrap: _sample_ref(texture, *levels_ref(texture), uv, lod, covered, wrap),
+op("sample_mips", "texture uv lod covered", attrs="wrap", stage="composite", infer=infer, reads="texel own own own", vjp=_sample_vjp,
+   ref=lambda texture, uv, lod, covered, wrap: sample_ref(texture, *levels_ref(texture), uv, lod, covered, wrap),
    lower=lambda texture, uv, lod, covered, wrap, room=None: apply("sample_levels", texture, *levels(texture), uv, lod, covered, wrap=wrap),
-   sample=lambda rng: _covered([x for k, x in enumerate(_arguments(rng)) if k not in (1, 2)], rng),
+   sample=lambda rng: _covered([x for k, x in enumerate(arguments(rng)) if k not in (1, 2)], rng),
    doc="Trilinear sample of a texture at a level of detail, between mip levels that are made of it, where `covered`; zero elsewhere.")
-op("sample_levels", "texture half rest uv lod covered", attrs="wrap", infer=_levels_infer, reads="texel texel texel own own own", cost=120,
-   when=flag(5), dense=WHOLE, still=_still, ref=_sample_ref, glsl=_sample_glsl, sample=lambda rng: _covered(_arguments(rng), rng),
+op("sample_levels", "texture half rest uv lod covered", attrs="wrap", infer=levels_infer, reads="texel texel texel own own own", cost=120,
+   when=flag(5), dense=WHOLE, still=_still, ref=sample_ref, glsl=sample_glsl, sample=lambda rng: _covered(arguments(rng), rng),
    doc="sample_mips of a texture, its half and its rest.")
 op("mip_slopes", "texture half rest uv lod g", attrs="wrap", reads="texel texel texel own own own", cost=140, ref=_slopes_ref,
-   glsl=_slopes_glsl, infer=lambda name, inputs, attrs: ("vec3", _levels_infer(name, inputs, attrs)[1]),
+   glsl=_slopes_glsl, infer=lambda name, inputs, attrs: ("vec3", levels_infer(name, inputs, attrs)[1]),
    size=lambda node, sizes: sizes[0] + sizes[5] + (max(node.inputs[0].extent.width, node.inputs[0].extent.height) - 1).bit_length(),
-   sample=lambda rng: ([*_arguments(rng), rng.normal(size=(6, 5, 3))], {"wrap": ("clamp", "repeat")}),
+   sample=lambda rng: ([*arguments(rng), rng.normal(size=(6, 5, 3))], {"wrap": ("clamp", "repeat")}),
    doc="Derivatives of sample_mips by both coordinates and by the level of detail, times g.")
 
 
