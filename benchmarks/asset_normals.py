@@ -1,6 +1,6 @@
 """The map of normals of a glTF asset from pictures that show it (the paper's Figure 19): geometry, colours, roughness and lights known.
 
-    python benchmarks/asset_normals.py [--quick] [--asset FILE] [--size N] [--views N] [--steps N] [--data DIR] [--json FILE] ...
+    python benchmarks/asset_normals.py [--quick] [--asset FILE [--map FILE]] [--size N] [--views N] [--steps N] [--json FILE] ...
 
 Pictures are drawn with the file's own map, the fit begins flat. PSNR of the pictures and angle of the normals that are shaded with, over
 all pixels of the object, before and after; ms a step. Asset: DIR/meshes/avocado, with a map of 512x512 texels, if none is named; with
@@ -24,7 +24,21 @@ from dressi_edge import runtime
 from dressi_edge.compiler.io.materials import Material, Part, TextureMap
 from dressi_edge.compiler.io.textures import Picture
 from dressi_edge.compiler.io.writers import save_parts
-from dressi_edge.compiler.scene import Adam, F, HardSoftRas, Light, Schedule, l2, load_parts, load_scene, look_at, orbit, pear, save_png
+from dressi_edge.compiler.scene import (
+    Adam,
+    F,
+    HardSoftRas,
+    Light,
+    Schedule,
+    l2,
+    load_mesh,
+    load_parts,
+    load_scene,
+    look_at,
+    orbit,
+    pear,
+    save_png,
+)
 
 LIGHTS = [Light("directional", 2.0, d) for d in ((-1, -0.6, -0.5), (0.8, -0.5, -0.8), (0.1, -0.7, 1.0), (0.3, 1.0, -0.2))]
 FLAT = (0.5, 0.5, 1.0)
@@ -50,6 +64,15 @@ def made(folder: Path, texels: int) -> Path:
     material = Material("pear", (0.7, 0.6, 0.3, 1.0), None, 0.0, 0.6, normal_texture=bumps, stated=True)
     save_parts(folder / "pear.glb", [Part("pear", replace(mesh, texture=None), material, {0: (mesh.uvs, mesh.uv_faces)})])
     return folder / "pear.glb"
+
+
+def with_map(mesh_file: Path, map_file: Path, folder: Path) -> Path:
+    """A glTF file of a mesh and a picture of normals that belongs to it."""
+    mesh = load_mesh(mesh_file)
+    material = Material(mesh_file.stem, (0.6, 0.5, 0.45, 1.0), None, 0.0, 0.6, normal_texture=TextureMap(Picture("normals", map_file)),
+                        stated=True)
+    save_parts(folder / f"{mesh_file.stem}.glb", [Part("mesh", replace(mesh, texture=None), material, {0: (mesh.uvs, mesh.uv_faces)})])
+    return folder / f"{mesh_file.stem}.glb"
 
 
 def looks(session) -> dict:
@@ -94,6 +117,7 @@ def fitted(asset: Path, views: int, size: int, steps: int, options: argparse.Nam
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--asset", type=Path, help="a glTF file of one part with a map of normals")
+    parser.add_argument("--map", type=Path, help="its map of normals, where the asset is a mesh that names none")
     parser.add_argument("--made", action="store_true", help="take the pear")
     parser.add_argument("--size", type=int, default=256, help="of the pictures")
     parser.add_argument("--views", type=int, default=6)
@@ -107,6 +131,8 @@ def main(arguments: list[str] | None = None) -> None:
     with tempfile.TemporaryDirectory(prefix="dressi-normals-") as folder:
         if options.made or not asset.is_file():
             asset = made(Path(folder), 64 if options.quick else 1024)
+        elif options.map:
+            asset = with_map(asset, options.map, Path(folder))
         row, report = fitted(asset, views, size, steps, options, Path(folder))
         if options.out:
             (options.out / "asset_normals.png").write_bytes((Path(folder) / "asset_normals.png").read_bytes())
