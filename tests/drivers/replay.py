@@ -1,11 +1,11 @@
 """Runs bundles on the driver at hand; started by `session.py` in a process of its own, with the driver's libraries.
 
-    python replay.py ROOT [--shaders] FOLDER..    every NAME.dressi with NAME.json of these folders
+    python replay.py ROOT [--shaders] [--unchecked] FOLDER..    every NAME.dressi with NAME.json of these folders
 
 ROOT: the checkout. --shaders: nothing is stepped; the pipelines of `fit` alone are made, once, and what their compiler tells is asked:
-for drivers on an emulated processor, where a step takes minutes. Imports the runtime, the standard library and numpy alone, so that any
-Python will do. Out: on standard output a line of
-JSON for the device and one for each bundle, as soon as it is done:
+for drivers on an emulated processor, where a step takes minutes. --unchecked: without the validation layer. Imports the runtime, the
+standard library and numpy alone, so that any Python will do. Out: on standard output a line of JSON for the device and one for each
+bundle, as soon as it is done:
 
     {"device": .., "driver": .., "subpixel": .., "profile": ..}
     {"name": .., "error": null or text, "messages": of the validation layer, "deviation": the largest, in tolerances,
@@ -33,8 +33,8 @@ def deviation(np, found, wanted, tolerance):
 
 def main():
     root, *folders = sys.argv[1:]
-    shaders = folders[:1] == ["--shaders"]
-    folders = folders[shaders:]
+    shaders, unchecked = "--shaders" in folders, "--unchecked" in folders
+    folders = folders[shaders + unchecked:]
     sys.path.insert(0, root)
     import numpy as np
 
@@ -78,7 +78,7 @@ def main():
         device.messages.clear()
         return told
 
-    with Device.open(validation=True, statistics=True) as device:
+    with Device.open(validation=not unchecked, statistics=True) as device:
         print(json.dumps({"device": device.name, "driver": device.driver, "subpixel": device.limits["subPixelPrecisionBits"],
                           "statistics": device.statistics}), flush=True)
         for folder in folders:

@@ -25,12 +25,13 @@ class Outcome:
     faults: tuple[str, ...]
 
 
-def run(name: str, packages: Path, folders: Sequence[Path], shaders: bool = False, tell: Callable[[dict], None] | None = None) -> Outcome:
-    """Every bundle of these folders on this driver, under the validation layer. packages: the folder that `fetch` keeps. shaders: the
-    pipelines of `fit` are made, and nothing else. tell: hears of every bundle as soon as it is done."""
+def run(name: str, packages: Path, folders: Sequence[Path], shaders: bool = False, checked: bool = True,
+        tell: Callable[[dict], None] | None = None) -> Outcome:
+    """Every bundle of these folders on this driver, under the validation layer if `checked`. packages: the folder that `fetch` keeps.
+    shaders: the pipelines of `fit` are made, and nothing else. tell: hears of every bundle as soon as it is done."""
     driver = catalog.DRIVERS[name]
     words, environment = catalog.command(driver, packages, str(Path(__file__).with_name("replay.py")), str(ROOT),
-                                         *["--shaders"] * shaders, *map(str, folders))
+                                         *["--shaders"] * shaders, *["--unchecked"] * (not checked), *map(str, folders))
     wanted = [path.stem for folder in folders for path in sorted(folder.glob("*.dressi"))]
     records, late = [], threading.Event()
     with tempfile.TemporaryFile("w+", errors="replace") as errors, subprocess.Popen(

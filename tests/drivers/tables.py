@@ -4,8 +4,8 @@
 
 Every driver runs what `make test-drivers` runs, and the whole problems once more as they are compiled for `AGAINST`, the profile that
 one would take for a desktop of which one knows nothing. Drivers on an emulated processor compile the shaders of one step of the whole
-problems as they are compiled for these two, and no more: ten minutes each. Results of drivers that are not named stay in
-benchmarks/results/drivers.json.
+problems as they are compiled for these two, the latter without the validation layer, and no more: ten minutes each. Results of drivers
+that are not named stay in benchmarks/results/drivers.json.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import datetime
 import json
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from dressi_edge.cache.profile import Profile
@@ -27,8 +28,8 @@ MARKS = "<!-- drivers -->\n", "<!-- /drivers -->\n"
 PROBLEMS = [name for name in whole.CASES if name != "behind"]
 
 
-def measure(name: str, bundles: dict[str, list[Path]]) -> dict:
-    """What a driver did with the bundles of its own profile and of AGAINST."""
+def measure(name: str, bundles: dict[str, list[Path]]) -> Iterator[dict]:
+    """What a driver did with the bundles of its own profile, and once more, with those of AGAINST, too."""
     driver, packages = catalog.DRIVERS[name], fetch.ready(name)
 
     def folders(profile: Profile) -> list[Path]:
@@ -39,15 +40,17 @@ def measure(name: str, bundles: dict[str, list[Path]]) -> dict:
                 whole.write(problem, profile, bundles[profile.digest][1])
         return bundles[profile.digest]
 
+    def sums(outcome: session.Outcome) -> dict[str, dict]:
+        return {r["name"]: _sums(r) for r in outcome.results if r["name"] in PROBLEMS}
+
     shaders = driver.group == "arm"
-    own = session.run(name, packages, folders(Profile.load(driver.profile))[shaders:], shaders, _told)
-    other = session.run(name, packages, folders(Profile.load(AGAINST))[1:], shaders, _told)
-    return {"device": own.device.get("device", "?"), "driver": own.device.get("driver", "?"), "profile": driver.profile,
-            "bundles": len(own.results), "shaders_alone": shaders, "faults": list(own.faults), "executes": driver.executes,
-            "deviation": max((r["deviation"] for r in own.results), default=None) if driver.executes else None,
-            "own": {r["name"]: _sums(r) for r in own.results if r["name"] in PROBLEMS},
-            "against": {r["name"]: _sums(r) for r in other.results if r["name"] in PROBLEMS},
-            "date": datetime.date.today().isoformat()}
+    own = session.run(name, packages, folders(Profile.load(driver.profile))[shaders:], shaders, tell=_told)
+    found = {"device": own.device.get("device", "?"), "driver": own.device.get("driver", "?"), "profile": driver.profile,
+             "bundles": len(own.results), "shaders_alone": shaders, "faults": list(own.faults), "executes": driver.executes,
+             "deviation": max((r["deviation"] for r in own.results), default=None) if driver.executes else None,
+             "own": sums(own), "against": {}, "date": datetime.date.today().isoformat()}
+    yield found
+    yield found | {"against": sums(session.run(name, packages, folders(Profile.load(AGAINST))[1:], shaders, not shaders, _told))}
 
 
 def _told(r: dict) -> None:
@@ -87,7 +90,7 @@ def text(results: dict[str, dict]) -> str:
               "instructions, times pixels.", "",
               "| driver | " + " | ".join(PROBLEMS) + " |", "|---|" + "---|" * len(PROBLEMS)]
     for name, r in results.items():
-        if any(x["registers"] for x in r["own"].values()):
+        if any(x["instructions"] for x in r["own"].values()):
             lines.append(f"| {name} | " + " | ".join(_cell(r["own"].get(p), r["against"].get(p)) for p in PROBLEMS) + " |")
     lines += ["", f"kB of the images, small as these problems are: their texels, what the device takes compiled for {AGAINST}, and for its",
               "own profile:", "",
@@ -117,12 +120,12 @@ def _together(r: dict) -> list[str]:
 
 
 def _cell(own: dict | None, other: dict | None) -> str:
-    if not own or not own["registers"]:
+    if not own or not own["instructions"]:
         return "-"
     what = "cycles" if own["cycles"] else "instructions"
     ratio = f", {own[what] / other[what]:.2f}" if other and other.get(what) else ""
     before = "" if not other or other["spills"] is None else f" ({other['spills']:g})"
-    return f"{own['spills'] or 0:g}{before}, {own['registers']:g}, {own['waves'] or 0:g}{ratio}"
+    return f"{own['spills'] or 0:g}{before}, {own['registers'] or '-'}, {own['waves'] or 0:g}{ratio}"
 
 
 def _bytes(own: dict | None, other: dict | None) -> str:
@@ -145,9 +148,10 @@ def main() -> int:
     bundles: dict[str, list[Path]] = {}
     for name in catalog.chosen(" ".join(sys.argv[1:]) or "all"):
         try:
-            results[name] = measure(name, bundles)
-            keep(results)  # as soon as there is something
-            print(f"{name}: {results[name]['bundles']} bundles, {len(results[name]['faults'])} faults", flush=True)
+            for found in measure(name, bundles):
+                results[name] = found
+                keep(results)  # as soon as there is something
+                print(f"{name}: {found['bundles']} bundles, {len(found['faults'])} faults", flush=True)
         except fetch.Missing as why:
             print(f"{name}: left out: {why}", flush=True)
     return 0
