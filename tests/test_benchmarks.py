@@ -141,7 +141,7 @@ def test_error_vs_time_quick(tmp_path, parts, panels):
     assert by["outline", 1, "lavapipe"] < 0.1 < by["face", 1, "lavapipe"]
     assert by["outline", 1, "lavapipe"] == by["outline", 1, "limit4"], "packing changes no gradient"
     for row in rows["texture"]:
-        assert row["cosine"] > 0.2 and (row["error"] < 1e-4) == (row["gradient"] == "exact")
+        assert row["cosine"] > 0.2 and (row["error"] < 1e-3) == (row["gradient"] == "exact")
     for row in rows["fit"] + rows["layers"]:
         assert row["distance"][-1] < row["distance"][0], row["case"]
     assert len(ElementTree.parse(tmp_path / "out.svg").getroot()) == 1 + panels
