@@ -77,7 +77,7 @@ class Texture:
     The coordinates are then the mesh's own or `Coordinates`. bias: added to the level; below 0 sharper. The texture's gradient is exact
     through all levels; an optimizer then updates every texel. How the level changes as vertices move is not in gradients.
     anisotropy: with mips, how many trilinear samples a pixel takes along the longer axis of its ellipse on the texture, 1 to 16, and then
-    their mean: a face seen at a slant is neither blurred nor does it alias. 4 make a step twice as long.
+    their mean: a face seen at a slant is neither blurred nor does it alias. 4 make a step 2 to 2.5 times as long.
     srgb: the image holds sRGB values and is decoded before anything is averaged. Raises InputError."""
 
     image: Node | np.ndarray
