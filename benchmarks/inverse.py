@@ -220,17 +220,20 @@ def fit(photos, masks, cameras, folder: Path, options) -> tuple[Thing, np.ndarra
                                       ("light", first, {"base": 0.02, "sky": options.sky_rate}, True),
                                       ("surface", count, {"base": 0.02, "maps": options.maps_rate, "sky": options.sky_rate}, True),
                                       ("shape", count, {"vertices": 0.002}, True)):
+        if not n:
+            continue
         seen = s.frame(Outline(r=2.0), phase=name, order="shuffle")
         same = alike(base, options.texels // 4, options.guide) if options.guide else None
         even = {"even": (options.even, total_variation(base)), "even_maps": (options.even_maps, total_variation(rest, mask=same)),
-                **({"white": (options.white, tint(light))} if options.white else {})}
+                **({"white": (Schedule(options.white, options.white / 100, n, "exponential"), tint(light))} if options.white else {})}
         kept = even if name in ("light", "surface") else {
             "mask": l2(seen.alpha, seen.at(mask)), "smooth": (options.smooth, bend)}
         s.phase(name, n, {key: Adam(rate) if name == "light" else adam(rate, n) for key, rate in optimize.items()},
                 **({"color": l1(seen.color, seen.at(photo))} if colors else {}), **kept)
     with session_of(s, folder, options) as session:
         session.step(2 * steps, "outline")
-        session.step(first, "light")
+        if first:
+            session.step(first, "light")
         for _ in range(options.rounds):
             session.step(steps, "surface")
             session.step(steps, "shape")
@@ -258,7 +261,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--smooth", type=float, default=1.0, help="the weight of the Laplacian")
     parser.add_argument("--even", type=float, default=0.02, help="the weight of the colours' total variation")
     parser.add_argument("--even-maps", type=float, default=0.02, help="that of roughness and metal")
-    parser.add_argument("--white", type=float, default=0.0, help="the weight of how far the light is from grey (Munkberg et al. 2022)")
+    parser.add_argument("--white", type=float, default=0.0, help="the weight of the light's tint as a phase begins; a hundredth as it ends")
     parser.add_argument("--first", type=int, default=0, help="steps before roughness and metal move, in percent of --steps")
     parser.add_argument("--sky-rate", type=float, default=0.03, help="Adam's, for the light")
     parser.add_argument("--guide", type=float, default=0.0, help="how much less roughness and metal are evened out where colours differ")
@@ -309,7 +312,8 @@ def main(arguments: list[str] | None = None) -> None:
     surface = metrics.Surface(true.mesh.positions, true.mesh.faces)
     apart = {f"chamfer_{key}": surface.measure(of.positions, of.faces).chamfer for key, of in (("hull", hull), ("found", found.mesh))}
     row = {"photographs": "mitsuba" if theirs else "ours", "size": size, "views": options.views, "steps": options.steps,
-           "rounds": options.rounds, "seconds": round(about["seconds"], 1),
+           "rounds": options.rounds, **{key: getattr(options, key) for key in ("first", "sky_rate", "white", "even_maps", "guide")},
+           "seconds": round(about["seconds"], 1),
            "psnr_start": psnr(before, wanted, seen > -1), "psnr": psnr(again, wanted, seen > -1),
            "psnr_inside": psnr(again, wanted, inside),
            "ours_of_the_truth": psnr(ours, wanted, seen > -1), "ours_of_the_truth_inside": psnr(ours, wanted, inside),

@@ -21,6 +21,7 @@ import binned_fits
 import error_vs_time
 import geometry
 import gloss
+import gloss_ways
 import inverse
 import light_and_roughness
 import metrics
@@ -30,6 +31,8 @@ import sphere_to_spot
 import storage
 import svg
 
+from dressi_edge.compiler.graph.functions import constant
+from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.io.shapes import icosphere
 
 
@@ -212,6 +215,30 @@ def test_gloss_quick(tmp_path):
     rows = {row["case"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
     assert rows["roughness +0.3"]["rest"] > rows["roughness +0.15"]["rest"] > 0
     assert rows["metal 0.2"]["metal"] > rows["metal 0.43"]["metal"] > rows["metal 0.2"]["rest"]
+
+
+@pytest.mark.full
+def test_gloss_ways_quick(tmp_path):
+    """All kinds of light, each term, and the shape read back from its file; a light that is known is right."""
+    ways = ["the light is known", "light first, maps guided", "light as logarithms", "light grey", "colours compared as log(1 + c)",
+            "light first, at 0.1, white fades"]
+    common = ["--quick", "--data", str(tmp_path), "--shape", str(tmp_path / "x.npz"), "--json", str(tmp_path / "out.json"), "--ways"]
+    gloss_ways.main([*common, *ways])
+    rows = {row["way"]: row for row in json.loads((tmp_path / "out.json").read_text())["results"]}
+    assert list(rows) == ways and all(0 < row["roughness"] < 0.5 and 0 < row["metal"] < 1 for row in rows.values())
+    assert rows["the light is known"]["light"] > 60 > max(row["light"] for name, row in rows.items() if name != "the light is known")
+    gloss_ways.main([*common, "light grey"])
+    (row,) = json.loads((tmp_path / "out.json").read_text())["results"]
+    assert {k: v for k, v in row.items() if k != "seconds"} == {k: v for k, v in rows["light grey"].items() if k != "seconds"}
+
+
+def test_texels_alike_are_those_of_equal_colour():
+    """Halved twice to the size of the maps; a border between two colours is seen by the texels before it."""
+    picture = np.zeros((8, 8, 3))
+    picture[:, 4:] = 0.5
+    found = evaluate([inverse.alike(constant(picture), 4, 10.0)], {})[0].reshape(4, 4)
+    np.testing.assert_allclose(found[:, [0, 2, 3]], 1.0)
+    np.testing.assert_allclose(found[:, 1], np.exp(-10.0 * 0.75))
 
 
 @pytest.mark.full
