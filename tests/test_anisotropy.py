@@ -1,6 +1,7 @@
 """Anisotropy: samples along the longer axis of what a pixel sees of a texture."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from test_mips import check_gradient, fine, fp32, picture, scene_with, tilted
 
 from dressi_edge import runtime
-from dressi_edge.cache.errors import InputError
+from dressi_edge.cache.errors import InputError, InputWarning
 from dressi_edge.compiler import Program
 from dressi_edge.compiler.graph.functions import compose, constant
 from dressi_edge.compiler.graph.ir import image
@@ -16,6 +17,7 @@ from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.io.images import srgb_to_linear
 from dressi_edge.compiler.io.materials import Material, Part, TextureMap
+from dressi_edge.compiler.io.meshes import load_parts
 from dressi_edge.compiler.io.textures import Picture
 from dressi_edge.compiler.io.writers import save_png
 from dressi_edge.compiler.passes.blocks import TOLD
@@ -36,6 +38,7 @@ from dressi_edge.compiler.scene import (
     load_mesh,
     load_views,
     look_at,
+    results,
     save_parts,
     sphere,
 )
@@ -249,7 +252,7 @@ def by_hand(kind, folder, **how):
     lit = kind == "scene"
     scene = Scene(views.cameras, encode=encode_srgb if lit else None)
     texture = scene.parameter("floor.texture", srgb_to_linear(mesh.texture) if lit else mesh.texture, 0.0, 1.0, kind="image")
-    scene.add(mesh, material=Unlit(Texture(texture, mesh.wrap, **how)), name="floor")
+    scene.add(mesh, material=Unlit(Texture(texture, **{"wrap": mesh.wrap, **how})), name="floor")
     seen, target = scene.frame(Outline(r=2.0)), scene.input("targets", views.images)
     scene.phase("fit", 3, {"floor.texture": Adam(0.05)}, color=l2(seen.color, target.xyz * target.w))
     sharp = scene.frame(HardSoftRas(r=1.0, delta=0.0))
@@ -291,3 +294,43 @@ def test_a_job_s_anisotropy_that_cannot_be_is_named(folder, kind):
 def test_one_pixel_a_texel_is_not_for_mips(folder):
     with pytest.raises(InputError, match="render: texture_grad is inverse_uv, which a texture with mips does not have; use exact"):
         parse_job(job("mesh", mips=True, texture_grad="inverse_uv"), folder / "job.toml")
+
+
+@pytest.mark.parametrize("kind, wrap", [("mesh", ["repeat", "clamp"]), ("part", ["clamp", "mirror"]), ("part", "mirror")])
+def test_a_job_s_texture_goes_on_as_it_says(gpu, folder, tmp_path, kind, wrap):
+    """Through a bundle: the bits of the same scene in Python; and what is written of it goes on in the same way."""
+    pair = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
+    found = []
+    for k, problem in enumerate((parse_job(job(kind, wrap=wrap), folder / "job.toml"),
+                                 by_hand(kind, folder, wrap=wrap if isinstance(wrap, str) else pair))):
+        problem.compile("lavapipe", tmp_path / f"{k}.dressi")
+        with runtime.load(tmp_path / f"{k}.dressi", gpu.device) as session:
+            session.step(2, "fit")
+            found.append((session.get("texture" if kind == "mesh" else "floor.texture"), session.get("render.color")))
+            results.save_result(session, tmp_path / f"{k}.glb")
+            written, = load_parts(tmp_path / f"{k}.glb")
+            assert written.material.base_texture.wrap == pair
+            with pytest.warns(InputWarning, match="but OBJ knows repeat or clamp, alike for u and v; repeat is written"):
+                results.save_result(session, tmp_path / f"{k}.obj")
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_array_equal(a, b)
+    gpu.silent()
+
+
+@pytest.mark.parametrize("kind", ["mesh", "part"])
+def test_a_job_s_wrap_that_cannot_be_is_named(folder, kind):
+    words = "allowed: repeat clamp mirror"
+    for wrong, said in (("mirorr", rf"did you mean mirror\? {words}"), (3, words), ("", words), ({}, words)):
+        with pytest.raises(InputError, match=rf"{WHERE[kind]}.wrap is {re.escape(repr(wrong))}; {said}"):
+            parse_job(job(kind, wrap=wrong), folder / "job.toml")
+    for wrong in ([], ["repeat"], ["repeat"] * 3, ["repeat", "border"], ["clamp", 1], [["clamp"], "clamp"]):
+        with pytest.raises(InputError, match=rf"{WHERE[kind]}.wrap is {re.escape(repr(wrong))}; a list of two is needed, for u and"):
+            parse_job(job(kind, wrap=wrong), folder / "job.toml")
+
+
+def test_a_file_s_own_wrap_stays_and_a_problem_s_is_checked(folder):
+    mesh, views = replace(load_mesh(folder / "floor.glb"), wrap="clamp"), load_views(folder)
+    assert Problem(mesh, views).wrap == "clamp" and Problem(mesh, views, wrap=["mirror", "mirror"]).wrap == "mirror"
+    for wrong in ("", "border", ("repeat",), 3):
+        with pytest.raises(InputError, match="wrap is .*; repeat clamp mirror are allowed, or a pair of them for u and v"):
+            Problem(mesh, views, wrap=wrong)

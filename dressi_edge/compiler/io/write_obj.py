@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...cache.errors import note
 from .images import linear_to_srgb, png_bytes
 from .materials import Part
 from .mesh import origin_of
@@ -74,8 +75,11 @@ def _material(part: Part, name: str, own: str, textured: bool, files: dict[str, 
     pictures = [("map_Kd", own, part.mesh.texture)] if textured else []
     pictures += [(key, f"{own}_{kind}", found.picture.texels()) for key, kind, found in
                  (("map_Ke", "emissive", m.emissive_texture), ("norm", "normal", m.normal_texture)) if found is not None]
+    wrap = m.base_texture.wrap if m.base_texture else (part.mesh.wrap,) * 2
+    if textured and wrap not in (("repeat",) * 2, ("clamp",) * 2):
+        note(f"{name}: its texture goes on as {' '.join(wrap)}, but OBJ knows repeat or clamp, alike for u and v; repeat is written")
     for key, stem, texels in pictures:
         files[f"{stem}.png"] = png_bytes(texels)
-        clamp = "-clamp on " if key == "map_Kd" and part.mesh.wrap == "clamp" else ""
+        clamp = "-clamp on " if key == "map_Kd" and wrap == ("clamp",) * 2 else ""
         lines.append(f"{key} {clamp}{stem}.png")
     return lines

@@ -26,6 +26,12 @@ def wraps_of(wrap: Wrap) -> tuple[str, str]:
     return tuple(pair)
 
 
+def alike(wrap: Wrap) -> Wrap:
+    """One word where both axes go on alike, else a pair. Raises InputError."""
+    u, v = wraps_of(wrap)
+    return u if u == v else (u, v)
+
+
 def _mirrored(u: Node) -> Node:
     """There and back between 0 and 1."""
     return 1.0 - absolute(u - 2.0 * apply("floor", u * 0.5) - 1.0)

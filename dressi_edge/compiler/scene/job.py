@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ...cache.errors import InputError
 from ...cache.profile import Profile
-from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh
+from ..io.mesh import NORMALS, Mesh, linear_mesh
 from ..io.text import bounded, read_bytes, shown
 from . import sense
 from .job_file import parse_file_scene
@@ -35,6 +35,7 @@ from .sections import (
     schedule_of,
     soft,
     softness_of,
+    wrap_of,
 )
 from .tables import Table
 from .targets import Carried, at_once
@@ -134,7 +135,7 @@ def _render(job: Table) -> tuple[Table, dict]:
                 "albedo_color": t.numbers("albedo_color", 3, (0.5,) * 3, 0, 1), "srgb": t.flag("srgb", False),
                 "background": t.numbers("background", 3, (0.0,) * 3, 0, 1),
                 "texture_size": t.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True),
-                "wrap": t.word("wrap", None, WRAPS), "normals": t.word("normals", None, NORMALS),
+                "wrap": wrap_of(t), "normals": t.word("normals", None, NORMALS),
                 "texture_grad": t.word("texture_grad", "exact", ("exact", "inverse_uv")), "soft": soft(t), **sampled(t)}
     if settings["srgb"] and job.get("views").get("color") == "linear":
         raise t.wrong("srgb", True, "views.color is \"linear\" already; set one of the two")

@@ -5,9 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..io.mesh import NORMALS, WRAPS, Mesh
+from ..io.mesh import NORMALS, Mesh
 from ..io.views import Views
-from .sections import SAMPLED, mesh_of, sampled
+from ..render.texture import Wrap
+from .sections import SAMPLED, mesh_of, sampled, wrap_of
 from .tables import Table
 
 MATERIALS = {"unlit": ("color",), "lambert": ("color",), "blinn_phong": ("color", "specular", "gloss"),
@@ -28,7 +29,7 @@ class PartTable:
     kind: str
     settings: dict
     texture_size: tuple[int, int]
-    wrap: str | None
+    wrap: Wrap | None
     sampled: dict
     pose: dict
 
@@ -62,5 +63,5 @@ def part_of(t: Table, folder: Path) -> PartTable:
     pose = {key: t.numbers(key, 3) for key in t.has("rotation", "translation")}
     pose |= {"scale": t.number("scale", low=0.0, above=True)} if t.has("scale") else {}
     return PartTable(t, name, mesh_of(t, folder), t.word("normals", None, NORMALS), kind, settings,
-                      material.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True), material.word("wrap", None, WRAPS),
+                      material.numbers("texture_size", 2, (512, 512), 1, 16384, whole=True), wrap_of(material),
                       sampled(material), pose)

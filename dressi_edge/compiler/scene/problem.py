@@ -22,7 +22,7 @@ from ..graph.ir import Node
 from ..graph.program import Program
 from ..io.cameras import Camera
 from ..io.frame import recentred
-from ..io.mesh import NORMALS, WRAPS, Mesh, linear_mesh, middle_of
+from ..io.mesh import NORMALS, Mesh, linear_mesh, middle_of
 from ..io.views import Views
 from ..render import loss as terms
 from ..render.frame import Frame
@@ -31,6 +31,7 @@ from ..render.material import Corner, Lambert, Texture, Unlit, Vertex
 from ..render.optimizer import Optimizer
 from ..render.raster import Renderer, Softness, renderer_of
 from ..render.schedule import Schedule
+from ..render.texture import Wrap, alike
 from ..render.tone import encode_srgb
 from . import sense
 from .limits import fits, profiles_of
@@ -87,8 +88,8 @@ class Problem:
 
     order: "batch" draws all views each step, "cycle" or "shuffle" (by `seed`) one, "accumulate" one, too, with the gradient of all.
     shading "unlit" or "lambert" with `lights` and `normals` "smooth", "flat" or "file" (the mesh's own, where no phase moves vertices);
-    `srgb` decodes the mesh's texture and colours, and encodes the rendered colour before it is compared. wrap: the mesh's own unless
-    given. mips, anisotropy: of the texture, as in `Texture`. near and far come from the cameras. judged: the start was asked for its sense
+    `srgb` decodes the mesh's texture and colours, and encodes the rendered colour before it is compared. wrap: the mesh's own unless given.
+    wrap, mips, anisotropy: of the texture, as in `Texture`. near and far come from the cameras. judged: the start was asked for its sense
     already (`sense.check`). embed: whether the bundle has the pictures; memory: bytes for all images of the device; room: bytes that they
     should take where memory says nothing; whole: all pictures as floats at once (`targets.py`). A mesh far from its origin is moved to it,
     with cameras and lights, by -`origin`.
@@ -106,7 +107,7 @@ class Problem:
     srgb: bool = False
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     texture_size: tuple[int, int] = (512, 512)
-    wrap: str | None = None
+    wrap: Wrap | None = None
     texture_grad: str = "exact"
     normals: str = "smooth"
     program: Program = field(default_factory=Program)
@@ -119,9 +120,9 @@ class Problem:
     anisotropy: int = 1
 
     def __post_init__(self):
-        self.wrap = self.wrap or self.mesh.wrap
+        self.wrap = alike(self.mesh.wrap if self.wrap is None else self.wrap)
         for name, value, allowed in (("order", self.order, ORDERS), ("shading", self.shading, SHADINGS), ("albedo", self.albedo, ALBEDOS),
-                                     ("wrap", self.wrap, WRAPS), ("normals", self.normals, NORMALS),
+                                     ("normals", self.normals, NORMALS),
                                      ("texture_grad", self.texture_grad, ("exact", "inverse_uv"))):
             if value not in allowed:
                 raise InputError(f"{name} is {value!r}; allowed: {' '.join(allowed)}")

@@ -12,15 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cache.errors import BundleError
+from ...cache.errors import BundleError, InputError
 from ..io.cameras import inverse_rigid, rotation_matrix
 from ..io.images import linear_to_srgb, to_bytes
-from ..io.materials import Material, Part
-from ..io.mesh import Mesh
+from ..io.materials import Material, Part, TextureMap
+from ..io.mesh import WRAPS, Mesh
 from ..io.panorama import write_hdr
+from ..io.textures import Picture
 from ..io.views import Views
 from ..io.writers import contact_sheet, loss_curve, save_json, save_parts
 from ..render.octahedron import panorama
+from ..render.texture import wraps_of
 from .material_meta import pack, unpack
 from .pieces import cameras_of, frame_meta, lights_of, origin_in, parts_of, scale_in, seen_meta
 
@@ -38,7 +40,8 @@ def record(problem) -> dict:
     meta = {"linear_albedo": problem.srgb, "linear_images": False, **problem.program.meta}  # linear: not sRGB encoded
     meta |= {"faces": pack(mesh.faces, "<i4"), "albedo": problem.albedo,
              "albedo_color": [float(x) for x in problem.albedo_color],
-             "pivot": list(problem.pivot), "shading": problem.shading, "wrap": problem.wrap}
+             "pivot": list(problem.pivot), "shading": problem.shading,
+             "wrap": problem.wrap if isinstance(problem.wrap, str) else list(problem.wrap)}
     meta |= seen_meta(problem.program, problem.phases, problem.cameras, (problem.width, problem.height), names)
     meta |= frame_meta(problem.origin, ["vertices"], problem.lights, problem.views.unit if isinstance(problem.views, Views) else None)
     if mesh.uvs is not None:
@@ -73,8 +76,23 @@ def _has(session, name: str) -> bool:
     return name in session.values
 
 
+def _wrap(session) -> tuple[str, str]:
+    """How its texture goes on by u and by v. Raises BundleError."""
+    try:
+        return wraps_of(meta_of(session).get("wrap", "repeat"))
+    except (InputError, TypeError) as error:
+        raise BundleError(f"meta.wrap is malformed ({error}); compile the bundle again") from None
+
+
+def _plain(session) -> bool:
+    """Whether a `Mesh` can say how its texture goes on."""
+    u, v = _wrap(session)
+    return u == v and u in WRAPS
+
+
 def mesh_of(session) -> Mesh:
-    """The mesh as it is on the device now. Raises BundleError where the bundle carries none."""
+    """The mesh as it is on the device now; its texture repeats where a mesh cannot say how it goes on. Raises BundleError where the bundle carries
+    none."""
     meta = meta_of(session)
     faces = _unpack(meta, "faces", "<i4", 3)
     if faces is None or not _has(session, "vertices"):
@@ -91,7 +109,7 @@ def mesh_of(session) -> Mesh:
     normals, normal_faces = _unpack(meta, "normals", "<f8", 3), _unpack(meta, "normal_faces", "<i4", 3)
     positions = session.get("vertices") * scale_in(meta) + _origin(session)
     return Mesh(positions, faces, uvs, uv_faces, colors, texture, None if colors is None else color_faces, normals, normal_faces,
-                None if vertex_map is None else vertex_map[:, 0], wrap=meta.get("wrap", "repeat"))
+                None if vertex_map is None else vertex_map[:, 0], wrap=_wrap(session)[0] if _plain(session) else "repeat")
 
 
 def _views(session) -> int:
@@ -182,7 +200,8 @@ def parts_now(session) -> list[Part]:
     mesh = mesh_of(session)
     if mesh.texture is not None and mesh.uvs is not None:
         mesh = replace(mesh, colors=None, color_faces=None)  # they would multiply the texture
-    return [Part("surface", mesh, Material("surface", unlit=meta_of(session).get("shading") == "unlit"))]
+    base = None if mesh.texture is None or _plain(session) else TextureMap(Picture("surface base colour", None), wrap=_wrap(session))
+    return [Part("surface", mesh, Material("surface", unlit=meta_of(session).get("shading") == "unlit", base_texture=base))]
 
 
 def save_result(session, path: str | Path, lights: bool = False, cameras: bool = False) -> None:

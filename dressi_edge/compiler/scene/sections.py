@@ -27,6 +27,7 @@ from ..render.octahedron import SIZES, octahedral
 from ..render.optimizer import SHARED, Adam, AdamUniform, AdamW, Clipped, Optimizer, Sgd
 from ..render.raster import DISTANCES, EDGES, MAX_LAYERS, MOST, Binned, Softness
 from ..render.schedule import Schedule
+from ..render.texture import WRAPS, Wrap, alike
 from ..render.tone import CURVES, Tone
 from .scene import Scene
 from .tables import NEEDED, Table
@@ -203,6 +204,16 @@ def sampled(t: Table, mips: bool = False) -> dict:
     if anisotropy > 1 and not mips:
         raise t.conflict(f"anisotropy is {anisotropy}, but there are no mips; set mips = true, or drop it")
     return {"mips": mips, "anisotropy": anisotropy}
+
+
+def wrap_of(t: Table) -> Wrap | None:
+    """How a texture goes on beyond its edges: a word, or one for u and one for v; None where the table does not say. Raises InputError."""
+    found = t.get("wrap", None)
+    if isinstance(found, list):
+        if len(found) != 2 or not all(isinstance(x, str) and x in WRAPS for x in found):
+            raise t.wrong("wrap", found, f"a list of two is needed, for u and for v; allowed: {' '.join(WRAPS)}")
+        return alike(found)
+    return t.word("wrap", None, WRAPS)
 
 
 def _shadow_of(t: Table) -> Shadow | None:
