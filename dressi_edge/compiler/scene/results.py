@@ -91,8 +91,8 @@ def _plain(session) -> bool:
 
 
 def mesh_of(session) -> Mesh:
-    """The mesh as it is on the device now; its texture repeats where a mesh cannot say how it goes on. Raises BundleError where the bundle carries
-    none."""
+    """The mesh as it is on the device now; its texture repeats where a mesh cannot say how it goes on. Raises BundleError where the bundle
+    carries none."""
     meta = meta_of(session)
     faces = _unpack(meta, "faces", "<i4", 3)
     if faces is None or not _has(session, "vertices"):
