@@ -24,10 +24,12 @@ from dressi_edge.compiler.io.materials import Material, Part
 from dressi_edge.compiler.scene import (
     PBR,
     Adam,
+    BlinnPhong,
     Channel,
     Environment,
     F,
     HardSoftRas,
+    Lambert,
     Light,
     Product,
     Scene,
@@ -499,3 +501,62 @@ def test_what_files_have_of_colours_alone_is_written_as_a_mean_and_said(gpu, tmp
     assert len(noted) == 3
     m = load_parts(tmp_path / "a.glb")[0].material
     np.testing.assert_allclose([m.roughness, m.metallic, *m.emissive], [0.4, 0.5, 0.25, 0.5, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("encode", [None, encode_srgb], ids=["as it is shown", "linear"])
+@pytest.mark.parametrize("kind", ["unlit", "lambert", "blinn_phong"])
+def test_colours_of_all_materials_are_written(gpu, tmp_path, kind, encode):
+    """A texture with wraps of each axis and moved coordinates, times colours of vertices and a factor: what is read of the file is it."""
+    ball, rng, scene = sphere(162, 0.7), np.random.default_rng(0), Scene(orbit(1, [20], 3.0, 40, (24, 20)), encode=encode)
+    lights = [Light("point", 9.0, (2.0, 2.0, 2.0))]
+    texels, colors = rng.uniform(0.2, 0.8, (8, 12, 3)), rng.uniform(0.2, 0.8, (len(ball.positions), 3))
+    skin, tint = scene.parameter("ball.skin", texels, 0.0, 1.0), scene.parameter("ball.tint", [0.5, 0.6, 0.7])
+    table = scene.parameter("ball.colors", colors, 0.0, 1.0, kind="table")
+    move, fixed = ((2.0, 0.0, 0.25), (0.0, 3.0, 0.5)), F.constant_table(colors)
+
+    def material(color):
+        return Unlit(color) if kind == "unlit" else Lambert(color, lights, two_sided=True) if kind == "lambert" else \
+            BlinnPhong(color, 0.3, 20.0, lights)
+
+    scene.add(ball, material=material(Product([Texture(skin, ("mirror", "clamp"), transform=move), Vertex(table), tint])), name="ball")
+    scene.add(ball, material=material(Texture(texels, ("repeat", "clamp"))), name="fixed")
+    scene.add(ball, material=material(Vertex(fixed)), name="painted")
+    scene.add(ball, material=material(Product([0.5, Channel(Texture(skin), "y")])), name="grey")
+    scene.output("look", color=scene.frame().color)
+    scene.compile("lavapipe", tmp_path / "a.dressi")
+    with runtime.load(tmp_path / "a.dressi", gpu.device) as session:
+        save_result(session, tmp_path / "a.glb")
+    parts = load_parts(tmp_path / "a.glb")
+    one, still, painted, grey = parts
+    stored, factor = (linear_to_srgb, np.array) if encode else (np.array, srgb_to_linear)
+    assert all(part.material.unlit == (kind == "unlit") and part.material.double_sided == (kind == "lambert") for part in parts)
+    assert one.material.base_texture.wrap == ("mirror", "clamp") and still.material.base_texture.wrap == ("repeat", "clamp")
+    np.testing.assert_allclose(one.mesh.texture, stored(texels), atol=0.51 / 255)
+    np.testing.assert_allclose(one.material.base_color[:3], factor([0.5, 0.6, 0.7]), atol=1e-6)
+    corners = ball.uvs[ball.uv_faces] * (2.0, 3.0) + (0.25, 0.5)
+    np.testing.assert_allclose(one.mesh.uvs[one.mesh.uv_faces], corners, atol=1e-6)
+    for part in (one, painted):
+        index = part.mesh.faces if part.mesh.color_faces is None else part.mesh.color_faces
+        np.testing.assert_allclose(part.mesh.colors[index], stored(colors)[ball.faces], atol=1e-4)
+    np.testing.assert_allclose(still.mesh.texture, stored(texels), atol=1.1 / 255)
+    np.testing.assert_allclose(grey.mesh.texture, stored(np.repeat(texels[..., 1:2], 3, -1)), atol=0.51 / 255)
+    np.testing.assert_allclose(grey.material.base_color[:3], factor([0.5] * 3), atol=1e-6)
+    check_structure(tmp_path / "a.glb")
+
+
+def test_colours_that_no_file_has_are_said(gpu, tmp_path):
+    ball, scene = icosphere(1), Scene(orbit(1, [20], 3.0, 40, (24, 20)))
+    lights, paint = [Light("ambient", 1.0)], F.constant_table(np.linspace(0.1, 0.9, 42)[:, None] * [1.0, 0.5, 0.25])
+    scene.add(ball, material=Lambert(lambda s: s.position * 0.5, lights))
+    scene.add(ball, material=lambda s: s.position * 0.5)
+    scene.add(ball, material=Unlit(Product([lambda s: s.position, (0.5, 0.25, 1.0)])))
+    scene.add(ball, material=Unlit(Product([Vertex(paint), Vertex(paint)])))
+    scene.output("look", color=scene.frame().color)
+    scene.compile("lavapipe", tmp_path / "a.dressi")
+    with runtime.load(tmp_path / "a.dressi", gpu.device) as session, pytest.warns(InputWarning) as noted:
+        save_result(session, tmp_path / "a.glb")
+    said = "\n".join(sorted({str(x.message) for x in noted}))
+    assert said.count("color is worked out by a function, and is left out") == 3 and "parts[3].color has more of vertices" in said, said
+    *_, third, fourth = load_parts(tmp_path / "a.glb")
+    np.testing.assert_allclose(third.material.base_color[:3], srgb_to_linear(np.array([0.5, 0.25, 1.0])), atol=1e-6)
+    assert fourth.mesh.colors is not None

@@ -17,7 +17,20 @@ from ..io.images import linear_to_srgb, png_bytes, srgb_to_linear
 from ..io.materials import Material, TextureMap
 from ..io.mesh import Mesh
 from ..io.textures import Picture
-from ..render.material import Channel, Coordinates, Corner, NormalMap, Occlusion, Product, Texture, Unlit, Vertex, moved
+from ..render.material import (
+    BlinnPhong,
+    Channel,
+    Coordinates,
+    Corner,
+    Lambert,
+    NormalMap,
+    Occlusion,
+    Product,
+    Texture,
+    Unlit,
+    Vertex,
+    moved,
+)
 from ..render.pbr import PBR
 from ..render.texture import wraps_of
 
@@ -43,8 +56,8 @@ def unpack(entry, name: str, kind: str, columns: int) -> np.ndarray:
 
 
 def described(material, names: Mapping[Node, str]) -> dict:
-    """The table of a material that has more than `color` says by itself: kind "pbr" or "unlit", and its sources; empty for others. names:
-    of the session's values."""
+    """The table of a material: kind "pbr", "unlit" or "diffuse" (of lights of its own, such as `Lambert`), and its sources; empty for
+    others, and where its colour is a function alone. names: of the session's values."""
     if isinstance(material, PBR):
         found = {key: _source(getattr(material, key), names) for key in FIELDS}
         if isinstance(material.normal, NormalMap):
@@ -53,8 +66,9 @@ def described(material, names: Mapping[Node, str]) -> dict:
             found |= {"occlusion": _source(material.occlusion.source, names),
                       "occlusion_strength": _source(material.occlusion.strength, names)}
         return {"kind": "pbr", "two_sided": material.two_sided, **found}
-    if isinstance(material, Unlit) and isinstance(material.color, (Product, Texture)):
-        return {"kind": "unlit", "color": _source(material.color, names)}
+    if isinstance(material, (Unlit, Lambert, BlinnPhong)) and (color := _source(material.color, names)):
+        two_sided = {} if isinstance(material, Unlit) else {"two_sided": material.two_sided}
+        return {"kind": "unlit" if isinstance(material, Unlit) else "diffuse", **two_sided, "color": color}
     return {}
 
 
@@ -107,13 +121,21 @@ def _table(table: Node, names: Mapping[Node, str]):
     return pack(array if table.channels > 1 else array[:, 0], "<f8")
 
 
+def _columns(table) -> int:
+    """Of a table of a bundle's meta."""
+    shape = table.get("shape") if isinstance(table, Mapping) else None
+    return shape[1] if isinstance(shape, list) and len(shape) == 2 and shape[1] in (2, 3, 4) else 1
+
+
 # ---- and back
 
 class Sources:
-    """The sources of a part's material, read with care. value: of the session by name. Raises BundleError."""
+    """The sources of a part's material, read with care. value: of the session by name; linear: whether the colours that are drawn are,
+    and not shown as they are. Raises BundleError."""
 
-    def __init__(self, entry: Mapping, where: str, value: Callable[[str], np.ndarray], mesh: Mesh):
+    def __init__(self, entry: Mapping, where: str, value: Callable[[str], np.ndarray], mesh: Mesh, linear: bool = True):
         self.entry, self.where, self.value, self.mesh = entry, where, value, mesh
+        self.linear = linear or entry.get("kind") == "pbr"
         self.uv_sets: dict[int, tuple[np.ndarray, np.ndarray]] = {} if mesh.uvs is None else {0: (mesh.uvs, mesh.uv_faces)}
 
     def _flat(self, key: str) -> list[Mapping]:
@@ -152,14 +174,22 @@ class Sources:
         return out
 
     def colors(self, key: str) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Colours of vertices (None) or corners (their faces) of a source, linear."""
-        for x in self._flat(key):
-            for kind in ("vertices", "corners"):
-                if kind in x:
-                    table = x[kind]
-                    values = self.value(table) if isinstance(table, str) else unpack(table, f"{self.where}.{key}", "<f8", 3)
-                    return values, unpack(x["faces"], f"{self.where}.{key}.faces", "<i4", 3) if kind == "corners" else None
-        return None
+        """Colours (n, 3) of vertices (None) or corners (their faces) of a source, linear."""
+        factors = self._flat(key)
+        found = [(x, kind) for x in factors for kind in ("vertices", "corners") if kind in x]
+        if len(found) > 1 or any("vertices" in x["of"] or "corners" in x["of"] for x in factors if isinstance(x.get("of"), Mapping)):
+            note(f"{self.where}.{key} has more of vertices or corners than one colour, which is all that files have; the rest is left out")
+        if not found:
+            return None
+        (x, kind), *_ = found
+        table, where = x[kind], f"{self.where}.{key}"
+        values = self.value(table) if isinstance(table, str) else unpack(table, where, "<f8", _columns(table))
+        values = np.asarray(values, float).reshape(len(values), -1)
+        values = np.repeat(values, 3, -1) if values.shape[1] == 1 else values[:, :3]
+        if values.shape[1] != 3:
+            note(f"{where} has {values.shape[1]} numbers for each of vertices or corners, which are no colour, and is left out")
+            return None
+        return values, unpack(x["faces"], f"{where}.faces", "<i4", 3) if kind == "corners" else None
 
     def mean(self, key: str, count: int) -> np.ndarray:
         """(count,) of a source that is of vertices or corners: the mean over them, which is what a file can have of it; ones of others."""
@@ -169,9 +199,7 @@ class Sources:
             table = inner.get("vertices", inner.get("corners")) if isinstance(inner, Mapping) else None
             if table is None:
                 continue
-            shape = table.get("shape") if isinstance(table, Mapping) else None
-            columns = shape[1] if isinstance(shape, list) and len(shape) == 2 and shape[1] in (2, 3, 4) else 1
-            values = self.value(table) if isinstance(table, str) else unpack(table, f"{self.where}.{key}", "<f8", columns)
+            values = self.value(table) if isinstance(table, str) else unpack(table, f"{self.where}.{key}", "<f8", _columns(table))
             means = np.asarray(values, float).reshape(len(values), -1).mean(0)
             total = total * [means[k] for k in map("xyzw".find, channels) if 0 <= k < len(means)]
             note(f"{self.where}.{key} is of vertices or corners, which files have of colours alone; its mean is written")
@@ -212,21 +240,32 @@ class Sources:
         """What a file has of it, and the mesh with the base colour's texture, coordinates and colours of vertices."""
         mesh, m = self.mesh, Material(name, unlit=self.entry.get("kind") == "unlit", double_sided=bool(self.entry.get("two_sided")))
         color = np.clip(self.factor("color", 3), 0.0, 1.0)
+        color = color if self.linear else srgb_to_linear(color)
         m = replace(m, base_color=(*map(float, color), 1.0), stated=True)
         if found := self.textures("color"):
             uvs, faces = self.coordinates(found[0][0])
-            wrap, texels = tuple(found[0][0].get("wrap", ("repeat",) * 2)), self.texels(found[0][0], True)
-            texels = np.repeat(texels, 3, -1) if texels.shape[2] == 1 else texels[..., :3]
+            wrap, texels = tuple(found[0][0].get("wrap", ("repeat",) * 2)), self._shown(*found[0])
             mesh = replace(mesh, uvs=uvs, uv_faces=faces, texture=texels)
             m = replace(m, base_texture=TextureMap(Picture(f"{name} base colour", None), wrap=wrap))
             if len(found) > 1:
                 note(f"{self.where}: of {len(found)} textures of its colour the first is written")
         if colors := self.colors("color"):
             values, faces = colors
-            mesh = replace(mesh, colors=linear_to_srgb(np.clip(values, 0.0, 1.0)), color_faces=faces)
+            values = np.clip(values, 0.0, 1.0)
+            mesh = replace(mesh, colors=linear_to_srgb(values) if self.linear else values, color_faces=faces)
         if self.entry.get("kind") == "pbr":
             m = self._physical(m, name)
         return m, mesh
+
+    def _shown(self, found: Mapping, channels: str) -> np.ndarray:
+        """(h, w, 3): the channels of a texture as files have colours, sRGB encoded; one is a grey."""
+        texels = self.texels(found, self.linear)
+        picked = ["xyzw".find(c) for c in channels or "xyzw"[:texels.shape[2]]][:3]
+        if len(picked) not in (1, 3) or not all(0 <= k < texels.shape[2] for k in picked):
+            note(f"{self.where}: its colour takes {channels or len(picked)} of a texture of {texels.shape[2]} channels, which is no "
+                 "colour; the texture is written as it is")
+            picked = [min(k, texels.shape[2] - 1) for k in range(3)]
+        return texels[..., picked if len(picked) == 3 else picked * 3]
 
     def _physical(self, m: Material, name: str) -> Material:
         rough, metal = self.textures("roughness"), self.textures("metallic")

@@ -214,7 +214,7 @@ def _part(e: _Entry, linear: bool, origin: np.ndarray, scale: float) -> Part:
     mesh = Mesh(places, faces, e.array("uvs", "<f8", 2), e.array("uv_faces", "<i4", 3), normals=e.array("normals", "<f8", 3),
                 normal_faces=e.array("normal_faces", "<i4", 3))
     if isinstance(e.meta.get("material"), Mapping):
-        sources = Sources(e.meta["material"], e.where, e.value, mesh)
+        sources = Sources(e.meta["material"], e.where, e.value, mesh, linear)
         material, mesh = sources.material(name)
         return Part(name, mesh, material, sources.uv_sets)
     material = Material(name, unlit=bool(e.meta.get("unlit")))
@@ -228,5 +228,7 @@ def _part(e: _Entry, linear: bool, origin: np.ndarray, scale: float) -> Part:
         numbers = e.value(color["value"]) if "value" in color else np.array(color["numbers"], np.float64)
         numbers = np.broadcast_to(numbers, 3) if linear else srgb_to_linear(np.clip(np.broadcast_to(numbers, 3), 0.0, 1.0))
         material = replace(material, base_color=(*map(float, np.clip(numbers, 0.0, 1.0)), 1.0), stated=True)
+    else:
+        note(f"{e.where}.color is worked out by a function, and is left out")
     return Part(name, mesh, material)
 
