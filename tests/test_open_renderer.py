@@ -309,6 +309,23 @@ def test_mistakes_are_named(make, what):
         make()
 
 
+def test_an_output_of_a_vjp_is_not_called_as_a_parameter_is():
+    s = ball_scene()
+    tint, free = s.parameter("color", [1.0, 2.0, 3.0]), s.parameter("free", 1.0)
+    before = dict(s.program.values), list(s.program.plans)
+    with pytest.raises(InputError, match="vjp back: an output and a parameter are both called color, and so would their gradients be, "
+                                         r"back\.color\.grad; call the output something else"):
+        s.vjp("back", ["free", "color"], color=tint * free)
+    assert (dict(s.program.values), list(s.program.plans)) == before
+    s.vjp("back", ["free"], color=tint * free)  # a parameter that no gradient is asked by
+    s.vjp("other", ["free", "color"], image=tint * free)
+    with ReferenceSession(s.program) as session:
+        session.set("back.color.grad", [1.0, 10.0, 100.0])
+        session.set("other.image.grad", [1.0, 10.0, 100.0])
+        assert session.get("back.free.grad") == session.get("other.free.grad") == 321.0
+        np.testing.assert_allclose(session.get("other.color.grad"), [1.0, 10.0, 100.0])
+
+
 def test_a_phase_that_fails_leaves_nothing_behind():
     s = ball_scene()
     x = s.parameter("x", [1.0, 2.0, 3.0])

@@ -324,6 +324,9 @@ class Scene:
             for key in wrt:
                 if key not in self.parameters:
                     raise InputError(f"vjp {name}: no parameter {key!r:.60}; there are: {' '.join(self.parameters)}")
+                if key in outputs:
+                    raise InputError(f"vjp {name}: an output and a parameter are both called {key}, and so would their gradients "
+                                     f"be, {name}.{key}.grad; call the output something else")
             if not wrt:
                 raise InputError(f"vjp {name}: no parameter is named; there are: {' '.join(self.parameters)}")
             named = self._named(name, outputs)
