@@ -1,5 +1,7 @@
 """A phase that works on a list of the touched texels gives the bits of one that updates every texel, whatever is done in between."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -369,3 +371,11 @@ def test_differs_sees_the_sign_of_zero(gpu):
     y = gpu.run(p, feed)["y"]
     expected = ((feed["a"] != feed["b"]) | (np.signbit(feed["a"]) != np.signbit(feed["b"]))).any(-1)
     np.testing.assert_array_equal(y, expected)
+
+
+@pytest.mark.parametrize("rows", [4096, 7680, 16384])
+def test_lists_of_a_million_texels_lie_where_rows_are_no_power_of_two(rows):
+    """VideoCore 7 has 7680: its list has as many rows as one that an op lays, which may be laid again."""
+    profile = Profile.load("lavapipe")
+    build(Fit(size=(1024, 1024)).program,
+          replace(profile, limits={**profile.limits, "maxImageDimension2D": rows, "maxFramebufferHeight": rows}))

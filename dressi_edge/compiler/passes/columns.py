@@ -23,11 +23,12 @@ def fewest(count: int, most: int) -> Extent:
 
 
 def laid(group: Group, rows: int) -> Group:
-    """The plans of a group with lists in images of at most so many rows."""
+    """The plans of a group with lists in images of at most so many rows. Those that phases work on are laid already (`passes/lists.py`)."""
+    done = {replace(x.extent, partial=0) for x in group.lists}
     roots = [root for roots in group.roots for root in roots]
 
     def tall(e: Extent) -> Extent:
-        long = COLUMN < e.width and e == replace(columns(e.count), partial=e.partial)
+        long = COLUMN < e.width and e == replace(columns(e.count), partial=e.partial) and replace(e, partial=0) not in done
         return replace(fewest(e.count, rows), partial=e.partial) if long else e
 
     def written(n: Node, inputs: tuple[Node, ...], number: Callable[[int], int]) -> tuple:
