@@ -71,7 +71,7 @@ def _nvidia(chip: int, profile: str) -> Driver:
 
 def _mali(number: str, profile: str) -> Driver:
     environment = {"PAN_GPU_ID": number, "PAN_I_WANT_A_BROKEN_VULKAN_DRIVER": "1"}
-    return Driver("unstable-arm64", "panfrost", "panfrost", environment, "arm", profile, {"binned": 46})
+    return Driver("unstable-arm64", "panfrost", "panfrost", environment, "arm", profile, {"binned": 48})
 
 
 DRIVERS = {
