@@ -196,10 +196,12 @@ class Surface:
     def texture(self, image: Node, uv: Node | None = None, wrap: Wrap = "repeat", gradient: str = "exact", lod: Node | None = None) -> Node:
         """The bilinear sample of an image at `uv` or the part's own coordinates, zero outside the part; with a level of detail the
         trilinear one; see `texture.sample_texture`."""
-        if gradient == "inverse_uv" and self.step is None:  # a picture that no phase steps: nobody asks for its gradient
-            gradient = "none"
-        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=gradient, covered=self.inside, step=self.step,
-                              lod=lod)
+        return sample_texture(image, self.uv if uv is None else uv, wrap=wrap, gradient=self._asked(gradient), covered=self.inside,
+                              step=self.step, lod=lod)
+
+    def _asked(self, gradient: str) -> str:
+        """The gradient of a texture, none in a picture that no phase steps: nobody asks for it there."""
+        return "none" if gradient == "inverse_uv" and self.step is None else gradient
 
     def level_of_detail(self, image: Node, corners: np.ndarray | None = None, bias: float = 0.0) -> Node:
         """The mip level of an image at which a pixel sees texels of its own size, a float; corners: (F, 3, 2) coordinates by which it is
@@ -210,10 +212,8 @@ class Surface:
                bias: float = 0.0) -> Node:
         """The mean of so many trilinear samples of an image along the longer axis of what a pixel sees of it, at uv, which corners
         (F, 3, 2) give; zero outside the part; see `texture.probes`."""
-        if gradient == "inverse_uv" and self.step is None:
-            gradient = "none"
         apart, lod = probes(*self.slopes(corners), image.extent, count, bias)
-        return sample_probes(image, uv, apart, lod, count, wrap, gradient, self.inside)
+        return sample_probes(image, uv, apart, lod, count, wrap, self._asked(gradient), self.inside)
 
     def pixel(self) -> Node:
         """vec2: the pixel's centre in its picture, from the upper left corner."""

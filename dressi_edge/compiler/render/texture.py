@@ -7,7 +7,7 @@ from __future__ import annotations
 from ...cache.errors import GraphError, InputError
 from ..graph.functions import absolute, apply, clamp, compose, dot, maximum, select, sqrt, stop_gradient
 from ..graph.ir import UNIT, Extent, Node
-from ..graph.ops.mip_along import sample_along
+from ..graph.ops.mip_along import along, mean, sample_along
 from ..graph.ops.mip_pyramid import LEAST
 from ..graph.ops.mips import sample_mips
 from ..graph.ops.texture_sort import MAX_PIXELS
@@ -126,7 +126,4 @@ def sample_probes(texture: Node, uv: Node, apart: Node, lod: Node, count: int, w
     if count > 1 and gradient in ("exact", "none") and "mirror" not in kinds and covered is not None \
             and max(texture.extent.width, texture.extent.height) >= LEAST and count * e.width * e.height <= MAX_PIXELS:
         return sample_along(stop_gradient(texture) if gradient == "none" else texture, uv, apart, lod, covered, kinds, count)
-    first, *more = (sample_texture(texture, uv + apart * (k - 0.5 * (count - 1)), wrap, gradient, covered, lod=lod) for k in range(count))
-    for x in more:
-        first = first + x
-    return first * (1.0 / count)
+    return mean([sample_texture(texture, at, wrap, gradient, covered, lod=lod) for at in along(uv, apart, count)])

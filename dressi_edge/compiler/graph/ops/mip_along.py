@@ -10,28 +10,23 @@ from __future__ import annotations
 from ....cache.errors import GraphError
 from ..ir import Node
 from ..optable import apply, common_extent, flag, op
-from .mip_lists import over, reads_of
+from .mip_lists import middle, over, reads_of
 from .mip_pyramid import Pyramid
 from .mips import WHOLE, arguments, infer, levels, levels_infer, levels_ref, sample_glsl, sample_ref
 
 
-def _middle(count: int) -> float:
-    return 0.5 * (count - 1)
+def along(uv: Node, apart: Node, count: int) -> list[Node]:
+    """Where the samples of a pixel are."""
+    return [uv + apart * (k - middle(count)) for k in range(count)]
 
 
-def _places(uv: Node, apart: Node, count: int) -> list[Node]:
-    return [uv + apart * (k - _middle(count)) for k in range(count)]
-
-
-def _sum(nodes: list[Node]) -> Node:
-    first, *more = nodes
-    for x in more:
-        first = first + x
-    return first
+def mean(samples: list[Node]) -> Node:
+    """Of some samples, added from the first on."""
+    return sum(samples[1:], samples[0]) * (1.0 / len(samples))
 
 
 def _along_ref(texture, half, rest, uv, apart, lod, covered, wrap, count):
-    return sum(sample_ref(texture, half, rest, uv + apart * (k - _middle(count)), lod, covered, wrap) for k in range(count)) / count
+    return sum(sample_ref(texture, half, rest, uv + apart * (k - middle(count)), lod, covered, wrap) for k in range(count)) / count
 
 
 def _infer(of):
@@ -48,7 +43,7 @@ def _glsl(node: Node) -> str:
     count = node.attrs["count"]
     one = sample_glsl(node, "one_").replace("{uv}", "at_")
     return f"""{{ {{y}} = {{type}}(0); for (int n_ = 0; n_ < {count}; ++n_) {{
-    vec2 at_ = {{uv}} + {{apart}} * (float(n_) - {_middle(count)}); {{type}} one_; {one} {{y}} += one_; }} {{y}} *= {1.0 / count!r}; }}"""
+    vec2 at_ = {{uv}} + {{apart}} * (float(n_) - {middle(count)}); {{type}} one_; {one} {{y}} += one_; }} {{y}} *= {1.0 / count!r}; }}"""
 
 
 def _still(node: Node) -> Node:
@@ -57,18 +52,17 @@ def _still(node: Node) -> Node:
     *images, uv, apart, lod, covered = node.inputs
     uv, apart, lod, covered = over(node.extent, uv, apart, lod, covered)
     p, wrap, count = Pyramid(images[0].extent.width, images[0].extent.height), node.attrs["wrap"], node.attrs["count"]
-    samples = by_list(images, _places(uv, apart, count), lod, covered, wrap, reads_of(p, uv, lod, covered, wrap, apart, count))
-    return _sum(samples) * (1.0 / count)
+    return mean(by_list(images, along(uv, apart, count), lod, covered, wrap, reads_of(p, uv, lod, covered, wrap, apart, count)))
 
 
 def _vjp(g, y, texture, uv, apart, lod, covered, wrap, count):
     from .mip_gradient import transpose
     inside, images = apply("select", covered, g * (1.0 / count), 0.0), (texture, *levels(texture))
-    slopes = [apply("mip_slopes", *images, at, lod, inside, wrap=wrap) for at in _places(uv, apart, count)]
-    whole = _sum(slopes)
+    slopes = [apply("mip_slopes", *images, at, lod, inside, wrap=wrap) for at in along(uv, apart, count)]
+    turned = [x * (k - middle(count)) for k, x in enumerate(slopes)]
+    whole = sum(slopes[1:], slopes[0])
     return (transpose(g, uv, lod, covered, texture.extent, wrap, apart, count), apply("swizzle", whole, channels="xy"),
-            apply("swizzle", _sum([x * (k - _middle(count)) for k, x in enumerate(slopes)]), channels="xy"),
-            apply("swizzle", whole, channels="z"), None)
+            apply("swizzle", sum(turned[1:], turned[0]), channels="xy"), apply("swizzle", whole, channels="z"), None)
 
 
 def _sample(rng, images: bool):

@@ -61,6 +61,11 @@ class Reads:
     touched: Compact
 
 
+def middle(count: int) -> float:
+    """Of the numbers of so many samples that stand evenly on a line: the place that they stand around."""
+    return 0.5 * (count - 1)
+
+
 def reads_of(p: Pyramid, uv: Node, lod: Node, covered: Node, wrap: tuple[str, str], apart: Node | None = None, count: int = 1) -> Reads:
     """The lists of a sample at these coordinates, or of `count` that are `apart` from one another."""
     size, places = {"width": p.width, "height": p.height}, numbered(p)
@@ -103,7 +108,7 @@ def _footprint_ref(uv, lod, covered, width, height, across, wrap):
 
 
 def _footprints_ref(uv, apart, lod, covered, width, height, across, wrap, count):
-    flat = np.concatenate([_footprint_of(uv + apart * (n - 0.5 * (count - 1)), lod, covered, Pyramid(width, height), across, wrap)
+    flat = np.concatenate([_footprint_of(uv + apart * (n - middle(count)), lod, covered, Pyramid(width, height), across, wrap)
                            for n in range(count)])
     e = table(len(flat))
     filled = np.tile([-1.0, 0.0, 0.0, 0.0], (e.width * e.height, 1))
@@ -134,7 +139,7 @@ def _footprint_glsl(node: Node) -> str:
     pixel, at = f"int g_ = min({{i}} >> 1, {pixels - 1}), j_ = {{i}} & 1;", "{uv_at}(g_)"
     if count > 1:
         pixel = f"int n_ = ({{i}} >> 1) / {pixels}, g_ = ({{i}} >> 1) - n_ * {pixels}, j_ = {{i}} & 1;"
-        at = f"({{uv_at}}(g_) + {{apart_at}}(g_) * (float(n_) - {0.5 * (count - 1)}))"
+        at = f"({{uv_at}}(g_) + {{apart_at}}(g_) * (float(n_) - {middle(count)}))"
     return f"""{{ {{y}} = vec4(-1.0, 0.0, 0.0, 0.0); {pixel}
     float d_ = clamp({{lod_at}}(g_), 0.0, {float(p.last)}), f_ = min(floor(d_), {float(p.last - 1)}); int m_ = int(f_) + j_; f_ = d_ - f_;
     if ({f'n_ < {count}' if count > 1 else '{i} >> 1 == g_'} && {{covered_at}}(g_) != 0 && (j_ == 0 || f_ > 0.0)) {{ {p.glsl}
