@@ -17,7 +17,7 @@ from ..cache.summary import image_bytes
 from ..cache.verify import violations
 from .backend import dump, spirv
 from .backend.allocate import allocate, kept_lists
-from .backend.check import check, check_kinds
+from .backend.check import Sound, check, check_kinds
 from .backend.describe import describe, shaders
 from .backend.emit import emit
 from .backend.needs import needs
@@ -89,10 +89,12 @@ def build(program: Program, profile: Profile, options: Options = Options(),  # n
     """The compiler. Each line is a pass; what it gives is shown to `see` under a name and checked by the verifier of its level. Gradients
     are graph like the rest before it comes here (`graph/autodiff.py`); the first text says which nodes they are. Raises GraphError,
     PackError, ProfileError, InputError, ShaderError."""
+    sound = Sound()
+
     def checked(name: str, value):
         see(name, value)
         tell(f"compiling for {profile.name}: {name}")
-        check(value, profile, options.naive)
+        check(value, profile, options.naive, sound)
         return value
 
     checked("built", program)

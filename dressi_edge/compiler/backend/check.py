@@ -6,13 +6,14 @@ first thing wrong: no input of a user can cause one. What users can do wrong is 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from functools import singledispatch
 
 from ...cache.bundle_check import check_description
 from ...cache.copies import OUTPUT, kinds
 from ...cache.errors import DressiError
 from ...cache.profile import Profile
-from ..graph.ir import Node, is_int, topological
+from ..graph.ir import Node, is_int
 from ..graph.program import Program
 from ..passes.compute import hindrance
 from ..passes.groups import Group
@@ -25,16 +26,26 @@ class DefectError(DressiError):
     """A pass gave something that is not well formed: a defect of the compiler."""
 
 
+@dataclass(frozen=True)
+class Sound:
+    """Nodes that were looked at already, which no pass can change; grows. typed: they have the type and extent that their op infers; drawn:
+    a shader can do them. A node is in with all that it is made of."""
+
+    typed: set[Node] = field(default_factory=set)
+    drawn: set[Node] = field(default_factory=set)
+
+
 def _that(holds: bool, what: str) -> None:
     if not holds:
         raise DefectError(f"{what}; a defect of the compiler: report it with the problem that shows it")
 
 
 @singledispatch
-def check(value, profile: Profile, naive: bool = False) -> None:
-    """A value of any level."""
+def check(value, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
+    """A value of any level. sound: what was found of values before it, which need not be looked at again."""
+    sound = sound or Sound()
     for x in value:
-        check(x, profile, naive)
+        check(x, profile, naive, sound)
     plans = [x.graph if isinstance(x, PackedPlan) else x for x in value if isinstance(x, PackedPlan | PlanGraph)]
     for k, plan in enumerate(plans):
         before = [p.name for p in plans[:k]]
@@ -45,21 +56,20 @@ def check(value, profile: Profile, naive: bool = False) -> None:
 
 
 @check.register
-def _program(program: Program, profile: Profile, naive: bool = False) -> None:
+def _program(program: Program, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
     for spec in program.plans:
-        _graph(spec.name, (*spec.updates.values(), *spec.outputs.values()))
+        _graph(spec.name, (*spec.updates.values(), *spec.outputs.values()), sound or Sound())
 
 
 @check.register
-def _group(group: Group, profile: Profile, naive: bool = False) -> None:
+def _group(group: Group, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
     for spec, roots in zip(group.specs, group.roots):
         _that(len(roots) == len(spec.updates) + len(spec.outputs), f"plan {spec.name} has {len(roots)} roots")
-        _graph(spec.name, roots)
-        _that(all(n.op.stage != "composite" for n in topological(roots)), f"plan {spec.name} has ops that no shader can do")
+        _graph(spec.name, roots, sound or Sound(), drawn=True)
 
 
 @check.register
-def _plan(plan: PlanGraph, profile: Profile, naive: bool = False) -> None:
+def _plan(plan: PlanGraph, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
     _that(len(plan.roots) == len(plan.targets), f"plan {plan.name} has {len(plan.roots)} roots for {len(plan.targets)} targets")
     _that((plan.kind in (PHASE, ENTER, LEAVE)) == bool(plan.updates), f"plan {plan.name} is a {plan.kind}, and updates {plan.updates}")
     _that((plan.kind in (PHASE, OUTPUT)) or not plan.outputs, f"plan {plan.name} is a {plan.kind}, and gives {plan.outputs}")
@@ -69,11 +79,11 @@ def _plan(plan: PlanGraph, profile: Profile, naive: bool = False) -> None:
         if isinstance(target, Node):
             _that(root.vtype == target.vtype and root.extent in (target.extent, root.extent if is_inline(root) else None),
                   f"plan {plan.name} writes {root!r} to {target!r}")
-    _graph(plan.name, plan.roots)
+    _graph(plan.name, plan.roots, sound or Sound(), drawn=True)
 
 
 @check.register
-def _packed(plan: PackedPlan, profile: Profile, naive: bool = False) -> None:
+def _packed(plan: PackedPlan, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
     graph, there = plan.graph, set()
     for k, stage in enumerate(plan.stages):
         _that(len(stage.substages) == 1 or not any(is_alone(s.nodes[0]) for s in stage.substages),
@@ -110,7 +120,7 @@ def _domain(where: str, s: Substage, in_place: bool) -> None:
 
 
 @check.register
-def _allocation(places: Allocation, profile: Profile, naive: bool = False) -> None:
+def _allocation(places: Allocation, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
     taken = list(places.values.values())
     _that(len(set(taken)) == len(taken), "two values share an image")
     for p, plan in enumerate(places.plans):
@@ -123,7 +133,7 @@ def _allocation(places: Allocation, profile: Profile, naive: bool = False) -> No
 
 
 @check.register
-def _description(description: dict, profile: Profile, naive: bool = False) -> None:
+def _description(description: dict, profile: Profile, naive: bool = False, sound: Sound | None = None) -> None:
     blobs = 1 + max([*description["shaders"], *(x[key] for of, key in (("images", "data"), ("values", "initial"))
                                                 for x in description[of] if type(x[key]) is int)], default=-1)
     check_description({**description, "blobs": [[0, 0, bytes(32)]] * blobs})
@@ -136,8 +146,18 @@ def check_kinds(description: dict, plans: Iterable[PackedPlan]) -> None:
               f"would be taken for {kind}")
 
 
-def _graph(name: str, roots: Iterable[Node]) -> None:
-    """Every node is of the type and extent that its op infers."""
-    for n in topological(roots):
-        found = n.op.infer(n.op.name, n.inputs, n.attrs)
-        _that(found == (n.vtype, n.extent), f"plan {name}: {n!r} is {found[0]} {found[1]} by its op")
+def _graph(name: str, roots: Iterable[Node], sound: Sound, drawn: bool = False) -> None:
+    """Every node is of the type and extent that its op infers; drawn: and of an op that a shader can do."""
+    known, fresh, left = sound.drawn if drawn else sound.typed, [], list(roots)
+    while left:
+        n = left.pop()
+        if n not in known:
+            known.add(n)
+            fresh.append(n)
+            left += n.inputs
+    for n in sorted(fresh, key=lambda n: n.serial):  # as they were made: inputs first
+        if n not in sound.typed or not drawn:
+            found = n.op.infer(n.op.name, n.inputs, n.attrs)
+            if found != (n.vtype, n.extent):
+                _that(False, f"plan {name}: {n!r} is {found[0]} {found[1]} by its op")
+        _that(not drawn or n.op.stage != "composite", f"plan {name} has ops that no shader can do")

@@ -96,6 +96,7 @@ class _Emitter:
         self.stage, self.profile, self.wide = stage, profile, wide
         self.image = wide.get(stage.outputs[0], stage.extent)  # what its outputs measure
         self.rows = self.rows_of(stage.outputs[0])
+        self.snap = literal_glsl(2.0 ** -profile.limit("subPixelPrecisionBits"))
         self.tiled = stage.domain.by if stage.domain.kind == TILES else None
         self.bindings: list[Binding] = []
         self.slots: dict[tuple[Node, str, str], int] = {}
@@ -171,7 +172,7 @@ class _Emitter:
                  "i": "entry" if self.rows and not self.stage.compute else
                  f"(pixel.y * {e.width} + pixel.x)" if e.column == e.width else
                  f"(pixel.x / {e.column} * {e.column * e.height} + pixel.y * {e.column} + pixel.x % {e.column})"}
-        names = _Names(names, literal_glsl(2.0 ** -self.profile.limit("subPixelPrecisionBits")))
+        names = _Names(names, self.snap)
         for key, value in node.attrs.items():
             names[key] = literal_glsl(value) if isinstance(value, (int, float)) else value
         for k, (param, x) in enumerate(zip(node.op.params, node.inputs)):

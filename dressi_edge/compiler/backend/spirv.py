@@ -24,7 +24,7 @@ _compiled: dict[tuple[str, str], bytes] = {}
 
 
 GLSLC_OPTIONS = ("--target-env=vulkan1.0", "-O0", "-c")
-BATCH = 16  # shaders of a process at most: the built-in functions cost little then, and every core has some of a large program
+BATCH = 32  # shaders of a process at most: the built-in functions cost little then, and every core has some of a large program
 DEBUG = (2, 3, 4, 5, 6, 7, 8, 317, 330)  # the instructions that name things and lines of a source: OpSource, OpName, OpLine and their like
 GLSLANG = np.array([8 << 16 | 11], "<u4")  # the generator that glslang writes
 
@@ -104,14 +104,15 @@ def _compile_some(glslc: str | None, jobs: list[tuple[str, str]]) -> list[bytes]
 
 def without_debug(code: bytes) -> bytes:
     """A module without names and sources, as from glslang itself with -g0: glslc has no option for that."""
-    words = np.frombuffer(code, "<u4")
-    kept, at = [words[:2], GLSLANG, words[3:5]], 5
+    array = np.frombuffer(code, "<u4")
+    words, kept, at, since = array.tolist(), [array[:2], GLSLANG, array[3:5]], 5, 5
     while at < len(words):
-        count = int(words[at]) >> 16
-        if int(words[at]) & 0xffff not in DEBUG:
-            kept.append(words[at:at + count])
-        at += count or 1
-    return np.concatenate(kept).tobytes()
+        after = at + (words[at] >> 16 or 1)
+        if words[at] & 0xffff in DEBUG:
+            kept.append(array[since:at])
+            since = after
+        at = after
+    return np.concatenate([*kept, array[since:]]).tobytes()
 
 
 def compile_all(jobs: Iterable[tuple[str, str]]) -> dict[tuple[str, str], bytes]:

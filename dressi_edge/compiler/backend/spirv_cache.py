@@ -11,11 +11,12 @@ import time
 from collections.abc import Mapping
 
 from ...cache.errors import DressiError
-from ...cache.files import read_regular, replace_file
+from ...cache.files import FLAGS, read_regular
 from ...cache.pipeline_cache import kept_folder
 
 MAX_BYTES = 1 << 22  # of one shader
-MAX_FOLDER_BYTES = 64 << 20
+MAX_FOLDER_BYTES = 256 << 20  # 25,000 shaders: those of 300 problems
+LOOK_EVERY = 16  # after the sixteenth part of that, a process looks again whether there is too much
 SUFFIX = ".spirv"
 
 
@@ -49,15 +50,31 @@ def _foreign(found: os.stat_result) -> str:
     return "others may write to it" if hasattr(os, "geteuid") and (found.st_uid != os.geteuid() or found.st_mode & 0o022) else ""
 
 
+_stored: dict[str, int] = {}  # by folder, the bytes that this process wrote since it last looked how much there is
+
+
 def store(path: str, made: Mapping[str, bytes]) -> None:
-    """Keep code by key; what was stored longest ago goes where there is too much."""
+    """Keep code by key; what was stored longest ago goes where there is too much. Nothing waits for the disk: a file of which a power cut
+    leaves a part does not have its SHA-256."""
     try:
         for name, code in made.items():
-            replace_file(os.path.join(path, name + SUFFIX), hashlib.sha256(code).digest(), code)
-            os.chmod(os.path.join(path, name + SUFFIX), 0o600)
-        _trim(path)
+            _write(os.path.join(path, name + SUFFIX), hashlib.sha256(code).digest() + code)
+        written = sum(map(len, made.values()))
+        if path not in _stored or _stored[path] + written > MAX_FOLDER_BYTES // LOOK_EVERY:
+            _trim(path)
+            _stored[path] = 0
+        else:
+            _stored[path] += written
     except OSError:
         pass
+
+
+def _write(path: str, data: bytes) -> None:
+    """The file under another name first, so that no reader sees a part of it."""
+    new = f"{path}.{os.getpid()}-{os.urandom(6).hex()}.part"
+    with open(os.open(new, FLAGS, 0o600), "wb") as f:
+        f.write(data)
+    os.replace(new, path)
 
 
 def _trim(path: str) -> None:

@@ -8,15 +8,16 @@ from __future__ import annotations
 import hashlib
 import math
 import weakref
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from operator import is_
 
 import numpy as np
 
 from ...cache.errors import GraphError
 from ...cache.layout import CHANNELS, is_int, table_size
 
-__all__ = ["CHANNELS", "Data", "Extent", "Node", "UNIT", "image", "intern", "is_int", "rebuild", "table", "topological",
+__all__ = ["CHANNELS", "Data", "Extent", "Node", "UNIT", "image", "intern", "is_int", "rebuild", "remade", "table", "topological",
            "vector_type"]
 
 
@@ -154,7 +155,8 @@ def _exact(value):
 def intern(op, inputs: tuple[Node, ...], attrs: dict, vtype: str, extent: Extent) -> Node:
     """The one node with these fields."""
     global _serial
-    key = (id(op), tuple(map(id, inputs)), tuple((k, _exact(attrs[k])) for k in sorted(attrs)), vtype, extent)
+    known = tuple((k, _exact(attrs[k])) for k in sorted(attrs)) if attrs else ()
+    key = (id(op), tuple(map(id, inputs)), known, vtype, extent.width, extent.height, extent.count, extent.partial)
     node = _interned.get(key)
     if node is None:
         _serial += 1
@@ -162,25 +164,32 @@ def intern(op, inputs: tuple[Node, ...], attrs: dict, vtype: str, extent: Extent
     return node
 
 
+def remade(node: Node, inputs: tuple[Node, ...]) -> Node:
+    """The one node that is this one of other inputs: itself, where they are the same."""
+    return node if all(map(is_, inputs, node.inputs)) else intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+
+
 def topological(roots: Iterable[Node], within: Collection[Node] | None = None) -> list[Node]:
     """Every node that the roots need (of those `within`, if given), inputs before users; the order depends on the graph alone."""
     order: list[Node] = []
     seen: set[Node] = set()
     for root in roots:
-        stack: list[tuple[Node, Iterator[Node]]] = []
-        if root not in seen:
-            seen.add(root)
-            stack.append((root, iter(root.inputs)))
-        while stack:
-            node, rest = stack[-1]
-            for x in rest:
+        if root in seen:
+            continue
+        seen.add(root)
+        nodes, rests = [root], [iter(root.inputs)]  # the way down to where we are, and what is left of each node's inputs
+        while nodes:
+            for x in rests[-1]:
                 if x not in seen and (within is None or x in within):
                     seen.add(x)
-                    stack.append((x, iter(x.inputs)))
-                    break
+                    if x.inputs:
+                        nodes.append(x)
+                        rests.append(iter(x.inputs))
+                        break
+                    order.append(x)
             else:
-                order.append(node)
-                stack.pop()
+                order.append(nodes.pop())
+                rests.pop()
     return order
 
 

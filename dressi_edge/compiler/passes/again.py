@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 
-from ..graph.ir import Node, intern, rebuild, topological
+from ..graph.ir import Node, intern, rebuild, remade, topological
 from ..graph.optable import OWN, TILE, apply, as_node
 from .constants import constant_value
 
@@ -101,7 +101,7 @@ def _split(root: Node) -> Node:
     kept = set(topological([n for n in order if _in_few_tiles(n)]))  # in tiles already
 
     def rewrite(n: Node, inputs: tuple[Node, ...]) -> Node:
-        new = intern(n.op, inputs, n.attrs, n.vtype, n.extent)
+        new = remade(n, inputs)
         if n in kept or not (n.op.chooses and n.inputs[0] in known and not known[n.inputs[0]].any()):
             return new
         by, there, elsewhere = n.inputs

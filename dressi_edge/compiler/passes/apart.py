@@ -25,11 +25,9 @@ class Apart:
     tiles: Mapping[Node, Node] = field(default_factory=dict)
     size: Mapping[Node, tuple[int, int]] = field(default_factory=dict)
 
-    def edges(self, n: Node):
+    def edges(self, n: Node) -> list[tuple[Node, str]]:
         """The images that a node needs, each with how it is read; its tiles are one of them."""
-        yield from edges(n)
-        if n in self.tiles:
-            yield self.tiles[n], TILE
+        return [*edges(n), (self.tiles[n], TILE)] if n in self.tiles else edges(n)
 
     def ordered(self, order: Sequence[Node]) -> list[Node]:
         """The nodes with all that they need before them."""
@@ -63,6 +61,8 @@ def find_apart(order: Sequence[Node], roots: set[Node], known: Known) -> Apart:
 
 def _only_read_by(order: Sequence[Node], roots: set[Node], tiles: Mapping[Node, Node]) -> dict[Node, Node]:
     """The nodes that only what belongs to one image of tiles reads, at their own texels, and so on up."""
+    if not tiles:
+        return {}
     users: dict[Node, set[Node | None]] = {}
     only: dict[Node, Node] = {}
     for n in reversed(order):

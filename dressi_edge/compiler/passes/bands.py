@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..graph.ir import Node, intern, rebuild, topological
+from ..graph.ir import Node, rebuild, remade, topological
 from ..graph.optable import stored
 from ..graph.program import Program
 from ..graph.reference import evaluate
@@ -34,7 +34,7 @@ def banded(groups: Sequence[Group], program: Program) -> tuple[Group, ...]:
 
     def rewrite(node: Node, inputs: tuple[Node, ...]) -> Node:
         if bands.get(node, 1) == 1:
-            return intern(node.op, stored(node.op, inputs), node.attrs, node.vtype, node.extent)
+            return remade(node, stored(node.op, inputs))
         return node.op.banded(*inputs, bands=bands[node])
 
     new = rebuild(roots, rewrite)

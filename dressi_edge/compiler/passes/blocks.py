@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
-from ..graph.ir import UNIT, Node, intern, is_int, rebuild, topological
+from ..graph.ir import UNIT, Node, intern, is_int, rebuild, remade, topological
 from ..graph.ops.compact import compact
 from ..graph.optable import OWN, apply
 from ..graph.program import Program
@@ -52,7 +52,7 @@ def late(group: Group) -> Group:
     roots = [root for roots in group.roots for root in roots]
 
     def rewrite(n: Node, inputs: tuple[Node, ...]) -> Node:
-        made = intern(n.op, inputs, n.attrs, n.vtype, n.extent)
+        made = remade(n, inputs)
         return n.op.late(made) if n.op.late else made
 
     new = rebuild(roots, rewrite)

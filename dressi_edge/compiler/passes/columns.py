@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from ..graph.ir import COLUMN, Extent, Node, intern, rebuild
+from ..graph.ir import COLUMN, Extent, Node, intern, rebuild, remade, topological
 from ..graph.ops.mip_lists import columns
 from .groups import Group
 
@@ -26,18 +26,24 @@ def laid(group: Group, rows: int) -> Group:
     """The plans of a group with lists in images of at most so many rows. Those that phases work on are laid already (`passes/lists.py`)."""
     done = {replace(x.extent, partial=0) for x in group.lists}
     roots = [root for roots in group.roots for root in roots]
+    named = {n for n in topological(roots) if n.extent.partial or "partial" in n.attrs
+             or any(isinstance(x, Extent) and x.partial for x in n.attrs.values())}
+    if not named:
+        return group
 
     def tall(e: Extent) -> Extent:
         long = COLUMN < e.width and e == replace(columns(e.count), partial=e.partial) and replace(e, partial=0) not in done
         return replace(fewest(e.count, rows), partial=e.partial) if long else e
 
-    def written(n: Node, inputs: tuple[Node, ...], number: Callable[[int], int]) -> tuple:
-        """What `intern` takes, with the lists' numbers."""
+    def written(n: Node, inputs: tuple[Node, ...], number: Callable[[int], int]) -> Node:
+        """The node with the lists' numbers."""
         def extent(e: Extent) -> Extent:
             return replace(tall(e), partial=number(e.partial)) if e.partial else e
 
+        if n not in named:
+            return remade(n, inputs)
         attrs = {key: extent(x) if isinstance(x, Extent) else number(x) if key == "partial" else x for key, x in n.attrs.items()}
-        return n.op, inputs, attrs, n.vtype, extent(n.extent)
+        return intern(n.op, inputs, attrs, n.vtype, extent(n.extent))
 
     numbers: dict[int, int] = {}
     made: dict[Node, int] = {}
@@ -46,11 +52,11 @@ def laid(group: Group, rows: int) -> Group:
         """Rewrites with the number of the first list that is made alike; the least takes its place in the end."""
         own = n.extent.partial
         if own and own not in numbers:  # what makes the list, for its inputs come first
-            alone = intern(*written(n, inputs, lambda x: 0 if x == own else numbers[x]))
+            alone = written(n, inputs, lambda x: 0 if x == own else numbers[x])
             numbers[own] = made.setdefault(alone, own)
-        return intern(*written(n, inputs, numbers.__getitem__))
+        return written(n, inputs, numbers.__getitem__)
 
     rebuild(roots, find)
     least = {first: min(own for own, x in numbers.items() if x == first) for first in set(numbers.values())}
-    new = rebuild(roots, lambda n, inputs: intern(*written(n, inputs, lambda x: least[numbers[x]])))
+    new = rebuild(roots, lambda n, inputs: written(n, inputs, lambda x: least[numbers[x]]))
     return replace(group, roots=tuple(tuple(new[root] for root in roots) for roots in group.roots))

@@ -13,6 +13,8 @@ _IS = {ZERO: lambda x: (x == 0).all(), NEGATIVE: lambda x: (x < 0).all(), EMPTY:
 
 def constant_value(node: Node, known: Mapping[Node, np.ndarray]) -> np.ndarray | None:
     """The constant value (channels,) of a node given constant inputs, or None."""
+    if not (node.op.when or node.op.chooses) and any(x not in known and x.op.stage != "inline" for x in node.inputs):
+        return None
     inputs = [x.op.ref(**x.attrs)[0, 0] if x.op.stage == "inline" else known.get(x) for x in node.inputs]
     channels = np.zeros(node.channels, np.int64 if is_int(node.vtype) else np.float64)
     for when in node.op.when:

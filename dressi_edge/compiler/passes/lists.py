@@ -16,7 +16,7 @@ import numpy as np
 
 from ...cache.layout import table_size
 from ...cache.profile import Profile
-from ..graph.ir import COLUMN, Extent, Node, intern, is_int, rebuild, topological
+from ..graph.ir import COLUMN, Extent, Node, intern, is_int, rebuild, remade, topological
 from ..graph.ops.compact import compact
 from ..graph.optable import EMPTY, OWN, apply
 from ..graph.program import PlanSpec, Program
@@ -144,7 +144,7 @@ class _Body:
         zero, rest = apply("literal", value=0.0), {}
         for name, target in self.targets.items():
             if self.states[name] in sampled:
-                new = rebuild([target], lambda n, inputs: zero if n in known else intern(n.op, inputs, n.attrs, n.vtype, n.extent))
+                new = rebuild([target], lambda n, inputs: zero if n in known else remade(n, inputs))
                 rest[name], = simplify([new[target]])
                 if {n for n in topological([rest[name]]) if n.op.stage == "leaf"} != {self.states[name]}:
                     raise _Dense("its update moves texels without gradient")
@@ -187,7 +187,7 @@ class _Body:
                 how = n.op.listed(n)
                 return how.read(copy[n.inputs[0]], keep(how.find(places)))
             if n not in self.nodes:
-                return intern(n.op, inputs, n.attrs, n.vtype, n.extent)
+                return remade(n, inputs)
             own = tuple(keep(apply("lookup", x, found.entries)) if mode == OWN and x.extent == self.extent and x not in self.dirty else y
                         for (x, mode), y in zip(_inputs(n), inputs))
             return intern(n.op, own, {k: extent if x == self.extent else x for k, x in n.attrs.items()}, n.vtype, extent)

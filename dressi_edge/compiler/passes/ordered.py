@@ -14,7 +14,7 @@ import numpy as np
 
 from ...cache.profile import Profile
 from ..graph.facts import InOrder
-from ..graph.ir import UNIT, Extent, Node, intern, is_int, rebuild, topological
+from ..graph.ir import UNIT, Extent, Node, intern, is_int, rebuild, remade, topological
 from ..graph.optable import OWN, TILE, apply, as_node
 from ..graph.program import Program
 from .constants import constant_value
@@ -51,7 +51,7 @@ def _reordered(roots: tuple[Node, ...], dynamic: frozenset[str], rows: int) -> t
                 pass
     if not new:
         return roots
-    made = rebuild(roots, lambda n, inputs: new[n] if n in new else intern(n.op, inputs, n.attrs, n.vtype, n.extent))
+    made = rebuild(roots, lambda n, inputs: new[n] if n in new else remade(n, inputs))
 
     def laid(n: Node, inputs: tuple[Node, ...]) -> Node:
         attrs = {k: long.get(x, x) if isinstance(x, Extent) else x for k, x in n.attrs.items()}

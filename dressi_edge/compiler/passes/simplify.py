@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...cache.layout import beyond_fp32
-from ..graph.ir import CHANNELS, UNIT, Node, intern, is_int, rebuild
+from ..graph.ir import CHANNELS, UNIT, Node, is_int, rebuild, remade
 from ..graph.ops.reduce import lower_sum
 from ..graph.optable import apply, stored
 
@@ -86,7 +86,7 @@ def simplify(roots: Sequence[Node]) -> list[Node]:
                 return apply("literal", value=value if len(value) > 1 else value[0])
         rule = RULES.get(node.op.name)
         found = rule(inputs, node) if rule else None
-        return found if found is not None else intern(node.op, stored(node.op, inputs), node.attrs, node.vtype, node.extent)
+        return found if found is not None else remade(node, stored(node.op, inputs))
 
     new = rebuild(roots, rewrite)
     return [new[root] for root in roots]
@@ -100,7 +100,7 @@ def lower(roots: Sequence[Node], room: int | None = None) -> list[Node]:
             return lower_sum(inputs[0], node.attrs["count"])
         if node.op.lower is not None:
             return node.op.lower(*inputs, **node.attrs, room=room)
-        return intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+        return remade(node, inputs)
 
     new = rebuild(roots, rewrite)
     return [new[root] for root in roots]

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from ...cache.bundle_plans import MAX_NEEDS
-from ..graph.ir import Extent, Node, intern, topological
+from ..graph.ir import Extent, Node, remade, topological
 from ..graph.optable import COUNT, OWN, apply
 from .again import again, apart, heavy, in_its_tiles
 
@@ -111,10 +111,10 @@ def _cut(roots: Sequence[Node], dirty: set[Node], moving: set[Node], prefix: str
         if n.op.stage in ("leaf", "inline") or new[n].op.stage == "leaf":
             return new[n]
         if cost[n] <= KEEP_COST and not n.op.keeps:
-            new[n] = intern(n.op, tuple(map(keep, n.inputs)), n.attrs, n.vtype, n.extent)  # what it keeps lies below
+            new[n] = remade(n, tuple(map(keep, n.inputs)))  # what it keeps lies below
             return new[n]
         if n.op.part and parts[n.inputs[0]] > 1:  # one image instead of several
-            new[n] = intern(n.op, (keep(n.inputs[0]),), n.attrs, n.vtype, n.extent)
+            new[n] = remade(n, (keep(n.inputs[0]),))
             return new[n]
         new[n] = in_its_tiles(n, _leaf(n, prefix, cached), keep) if n in moving else _leaf(n, prefix, cached)
         return new[n]
@@ -122,7 +122,7 @@ def _cut(roots: Sequence[Node], dirty: set[Node], moving: set[Node], prefix: str
     for n in order:
         if n in dirty:
             inputs = tuple(new[x] if x in dirty or x.op.stage == "inline" else keep(x) for x in n.inputs)
-            new[n] = intern(n.op, inputs, n.attrs, n.vtype, n.extent)
+            new[n] = remade(n, inputs)
         else:
             new[n] = n
     return [new[r] if r in dirty else keep(r) for r in roots]

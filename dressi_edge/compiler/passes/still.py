@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..graph.ir import Node, intern, rebuild
+from ..graph.ir import Node, rebuild, remade
 from ..graph.optable import OWN
 from .groups import Group
 from .simplify import simplify
@@ -27,7 +27,7 @@ def find_still(group: Group) -> Group:
         return n.op.still is not None and changing and OWN not in changing
 
     def rewrite(n: Node, inputs: tuple[Node, ...]) -> Node:
-        made = intern(n.op, inputs, n.attrs, n.vtype, n.extent)
+        made = remade(n, inputs)
         return n.op.still(made) if rests(n) else made
 
     new = rebuild(roots, rewrite)

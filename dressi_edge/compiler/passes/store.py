@@ -21,7 +21,7 @@ import numpy as np
 from ...cache.errors import InputError, ProfileError
 from ...cache.profile import Profile
 from ..graph.formats import HALF_FORMATS
-from ..graph.ir import UNIT, Node, intern, is_int, rebuild, topological
+from ..graph.ir import UNIT, Node, is_int, rebuild, remade, topological
 from ..graph.optable import apply
 from ..graph.program import Program
 
@@ -76,7 +76,7 @@ def halve(program: Program) -> Program:
         if node.op.held and program.values[node.attrs["name"]].narrow:
             return apply(node.op.name, **node.attrs, half=0)
         inputs = tuple(_rounded(x, size[old]) if k in node.op.sums else x for k, (x, old) in enumerate(zip(inputs, node.inputs)))
-        return intern(node.op, inputs, node.attrs, node.vtype, node.extent)
+        return remade(node, inputs)
 
     new = rebuild(roots, rewrite)
     values = {name: replace(value, node=new.get(value.node, value.node)) for name, value in program.values.items()}

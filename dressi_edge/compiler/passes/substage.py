@@ -95,11 +95,9 @@ def is_leaf(node: Node) -> bool:
     return node.op.stage == "leaf"
 
 
-def edges(node: Node):
+def edges(node: Node) -> list[tuple[Node, str]]:
     """Its inputs that are images, each with how it is read."""
-    for k, x in enumerate(node.inputs):
-        if not is_inline(x):
-            yield x, node.op.read(k)
+    return [(x, mode) for x, mode in zip(node.inputs, node.op.reads) if x.op.stage != "inline"]
 
 
 def substage(nodes: Sequence[Node], outputs: Sequence[Node]) -> Substage:

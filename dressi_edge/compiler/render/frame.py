@@ -12,7 +12,7 @@ import numpy as np
 
 from ...cache.errors import InputError
 from ..graph.functions import apply, compose, constant_table, lookup, normalize, select, to_float, to_int
-from ..graph.ir import UNIT, Node, intern, rebuild, table, topological
+from ..graph.ir import UNIT, Node, rebuild, remade, table, topological
 from ..graph.ops.join import join
 from .alike import runs
 from .atlas import Atlas
@@ -70,7 +70,7 @@ class Frame:
             return roots
         same = {self._outline.silhouette(): self.fragments.silhouette(),
                 self._outline.layers[0].hard: self.fragments.layers[0].hard}
-        new = rebuild(roots, lambda n, inputs: same[n] if n in same else intern(n.op, inputs, n.attrs, n.vtype, n.extent))
+        new = rebuild(roots, lambda n, inputs: same[n] if n in same else remade(n, inputs))
         return [new[root] for root in roots]
 
     def surface(self, layer: int = 0, part: int = 0) -> Surface:
