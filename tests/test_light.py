@@ -7,8 +7,10 @@ import pytest
 from graphs import layout_of
 
 from dressi_edge import runtime
+from dressi_edge.cache.layout import Layout
 from dressi_edge.compiler import Program
-from dressi_edge.compiler.graph.functions import constant
+from dressi_edge.compiler.graph.autodiff import gradients
+from dressi_edge.compiler.graph.functions import compose, constant, total
 from dressi_edge.compiler.graph.reference import evaluate
 from dressi_edge.compiler.render.light import diffuse
 from dressi_edge.compiler.scene import Light, Mesh, Problem, Softness, look_at
@@ -41,6 +43,27 @@ def test_an_element_reflects_what_is_computed_by_hand(gpu):
     for name, y in outputs.items():
         np.testing.assert_allclose(evaluate([y])[0].ravel(), expected[name], rtol=1e-12, atol=1e-12, err_msg=name)
         np.testing.assert_allclose(device[name].ravel(), expected[name], rtol=2e-6, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", [{"kind": "point"}, {"kind": "spot", "direction": (-1.0, 0.0, -1.0)}], ids=["point", "spot"])
+@pytest.mark.parametrize("away", [0.0, 1e-7, 9e-5, 1.1e-4, 1.0])
+def test_a_light_on_the_surface_has_no_slope(kind, away):
+    """Within 1e-4: the direction's would be 1 / distance, and the square of the gradient beyond fp32. Beyond it is that of differences."""
+    light, at = Light(power=9.0, vector=(0.0, 0.0, 0.0), **kind), away * np.array([-0.8, 0.0, -0.6])
+    position = Program().input("x", Layout("unit", "vec3"))
+    shown = total(diffuse(compose(0.1, 0.0, 1.0), position, [light]).x)
+
+    def value(x):
+        return evaluate([shown], {"x": x.reshape(1, 1, 3)})[0].item()
+
+    slope = evaluate(gradients(shown, [position]), {"x": at.reshape(1, 1, 3)})[0].ravel()
+    if away < 1e-4:
+        assert not slope.any() and (away == 0 or value(at) > 1e7)
+    else:
+        step = 1e-5 * away
+        np.testing.assert_allclose(slope, [(value(at + d) - value(at - d)) / (2 * step) for d in step * np.eye(3)], rtol=1e-6,
+                                   atol=1e-6 * abs(slope).max())
+        assert (slope[[0, 2]] != 0).all()
 
 
 @pytest.mark.parametrize("turned", [0.0, 60.0], ids=["facing", "turned"])

@@ -73,6 +73,7 @@ IDENTITIES = {
     "x+0": lambda x: x + 0.0, "0+x": lambda x: 0.0 + x, "x-0": lambda x: x - 0.0, "x*1": lambda x: x * 1.0,
     "1*x": lambda x: 1.0 * x, "x/1": lambda x: x / 1.0, "-(-x)": lambda x: apply("neg", apply("neg", x)),
     "stop": lambda x: apply("stop_gradient", x), "scaled": lambda x: scale_gradient(x, 3.0), "x+(x-x)*y": lambda x: x + (x - x) * leaf("y"),
+    "either": lambda x: apply("select", leaf("c") > 0.0, x, apply("stop_gradient", x)),
     "broadcast": lambda x: apply("broadcast", x, extent=x.extent), "compose.x": lambda x: compose(x, x * 2.0).x,
 }
 

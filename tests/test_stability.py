@@ -473,10 +473,13 @@ def test_many_faces_are_a_disc(gpu, vertices, size):
 # Whatever is given
 
 
+FOUND = (2571,)  # by the longer run: a pixel nearer than 1e-4 to a light
+
+
 @pytest.mark.parametrize("name", fuzz_scenes.PROBLEMS)
 def test_random_scenes_are_finite(gpu, name):
     with gpu.open(fuzz_scenes.PROBLEMS[name]().program) as session:
-        bad = {seed: found for seed in range(20 if name == "K=3" else 50) if (found := fuzz_scenes.broken(session, seed))}
+        bad = {seed: found for seed in (*FOUND, *range(20 if name == "K=3" else 50)) if (found := fuzz_scenes.broken(session, seed))}
     gpu.silent()
     assert not bad
 

@@ -55,6 +55,7 @@ RULES = {
     "div": lambda x, n: _as(x[0], n) if _value(x[1]) == 1 else None,
     "neg": lambda x, n: x[0].inputs[0] if x[0].op.name == "neg" else None,
     "stop_gradient": lambda x, n: x[0],
+    "select": lambda x, n: _as(x[1], n) if x[1] is x[2] else None,  # branches that differ in their gradients alone
     "broadcast": lambda x, n: _as(x[0], n),
     "lookup_boxed": lambda x, n: apply("lookup", *x[:2]),  # what else these three take is for the transpose alone
     "lookup_near": lambda x, n: apply("lookup", x[0], _channel(x[1], n.attrs["channel"]) - 1),

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from ...cache.errors import GraphError, InputError
 from ...cache.layout import beyond_fp32
-from ..graph.functions import clamp, compose, dot, maximum, normalize
+from ..graph.functions import clamp, compose, dot, maximum, normalize, select, stop_gradient
 from ..graph.ir import UNIT, Node
 
 KINDS = ("directional", "point", "spot", "ambient")
 PLACED = ("point", "spot")  # of which `vector` is a position
+NEAR = 1e-8  # the squared distance from a light within which neither its irradiance nor its direction has a slope
 SIZES = (16, 4096)  # of a shadow map
 
 
@@ -99,12 +100,14 @@ class Light:
         if self.kind == "directional":
             return power, -normalize(vector), 1.0
         to_light = vector - position
-        towards = normalize(to_light)
+        squared, towards = dot(to_light, to_light), normalize(to_light)
+        # The slope of a direction is 1 / distance: what would be left of it at 1e-7 has squares beyond fp32.
+        towards = select(squared > NEAR, towards, stop_gradient(towards))
         if self.kind == "spot":
             inner, outer = map(math.cos, self.cone)
             inside = clamp((-dot(towards, normalize(_node(self.direction))) - outer) / max(inner - outer, 1e-3), 0.0, 1.0)
             power = power * (inside * inside)
-        return power, towards, maximum(dot(to_light, to_light), 1e-8)
+        return power, towards, maximum(squared, NEAR)
 
 
 def _node(x) -> Node:
