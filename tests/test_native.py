@@ -1,6 +1,7 @@
 """libdressi, the player in C: it refuses what the Python reader refuses in the same words, gives the bits that the runtime gives, and
 goes on where the other stopped. Built with the sanitizers of addresses and undefined behaviour, played under the validation layer."""
 
+import hashlib
 import json
 import os
 import random
@@ -31,6 +32,7 @@ from dressi_edge.runtime.emulate import EmulatedDevice
 pytest_plugins = ["gpu"]
 
 ROOT = Path(__file__).parents[1]
+NATIVE = ROOT / "android" / "native"
 FOLDER = make_vectors.FOLDER
 LAYER = {"VK_INSTANCE_LAYERS": "VK_LAYER_KHRONOS_validation",
          "VK_LAYER_ENABLES": "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT"}
@@ -73,6 +75,15 @@ def real_loader() -> str:
     return next(line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if "libvulkan.so" in line)
 
 
+def kept(compiler: str, headers: str) -> Path:
+    """Where the programs are kept from run to run: they take 20 seconds to compile. Its name is a hash of all that they are made of."""
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout
+    made_of = hashlib.sha256("\0".join((version, headers, os.environ.get("CFLAGS", ""))).encode())
+    for file in sorted([*NATIVE.rglob("*.[ch]"), NATIVE / "Makefile", *(ROOT / "tests" / "player").glob("*.[ch]")]):
+        made_of.update(b"\0".join((file.name.encode(), file.read_bytes(), b"")))
+    return ROOT / "build" / f"native-{made_of.hexdigest()[:20]}"
+
+
 @pytest.fixture(scope="module")
 def player(gpu, tmp_path_factory):
     compiler = os.environ.get("CC") or shutil.which("cc")
@@ -87,13 +98,22 @@ def player(gpu, tmp_path_factory):
     built.mkdir(exist_ok=True)
     with open(built / "lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        subprocess.run(["make", "-s", "-j2", "-C", ROOT / "android" / "native", f"BUILD={built}", f"CC={compiler}", "SANITIZE=1",
-                        built / "player"], check=True)
+        folder = kept(compiler, includes.stdout)
+        if not folder.is_dir():
+            programs = built / "player", built / "dressi-play"
+            subprocess.run(["make", "-s", "-j2", "-C", NATIVE, f"BUILD={built}", f"CC={compiler}", "SANITIZE=1", *programs], check=True)
+            for old in folder.parent.glob("native-*"):
+                shutil.rmtree(old)
+            unfinished = folder.with_name(f"unfinished-{os.getpid()}")
+            unfinished.mkdir(parents=True)
+            for program in programs:
+                shutil.copy2(program, unfinished)
+            unfinished.rename(folder)
     shim = tmp_path_factory.mktemp("shim")
     strict = ["-O1", "-Wall", "-Wextra", "-Werror", "-Wno-cast-function-type"]
     subprocess.run([compiler, *strict, "-shared", "-fPIC", "-Wl,-soname,libvulkan.so.1", ROOT / "tests" / "player" / "shim.c",
                     "-o", shim / "libvulkan.so.1", "-ldl"], check=True)
-    return Player(built / "player", shim)
+    return Player(folder / "player", shim)
 
 
 # Reading
@@ -523,9 +543,7 @@ def test_compiled_pipelines_are_kept_for_the_next_process_and_for_python(gpu, pl
 @pytest.fixture(scope="module")
 def play(player):
     """Runs the program; the finished process."""
-    built = player.program.parent
-    subprocess.run(["make", "-s", "-C", ROOT / "android" / "native", f"BUILD={built}", "SANITIZE=1", built / "dressi-play"], check=True)
-    return Player(built / "dressi-play", player.shim)
+    return Player(player.program.parent / "dressi-play", player.shim)
 
 
 def test_a_captured_profile_is_that_of_python_to_the_byte(play, tmp_path):

@@ -43,15 +43,16 @@ def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _cross(a, b, c) -> tuple[float, float, float]:
     """Of a triangle, its normal times twice its area."""
-    ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = a
+    ux, uy, uz, vx, vy, vz = b[0] - x, b[1] - y, b[2] - z, c[0] - x, c[1] - y, c[2] - z
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
 def _turned(before, after) -> bool:
     """Whether a face with these two normals has turned too far, or lost its area."""
-    dot = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
-    sizes = sum(x * x for x in before) * sum(x * x for x in after)
-    return dot <= 0.0 or dot * dot < UPRIGHT * UPRIGHT * sizes
+    (x, y, z), (u, v, w) = before, after
+    dot = x * u + y * v + z * w
+    return dot <= 0.0 or dot * dot < UPRIGHT * UPRIGHT * ((x * x + y * y + z * z) * (u * u + v * v + w * w))
 
 
 class _Surface:
@@ -65,7 +66,7 @@ class _Surface:
                 self.around[v].add(k)
 
     def neighbours(self, v: int) -> set[int]:
-        found = {w for k in self.around[v] for w in self.faces[k]}
+        found = set().union(*[self.faces[k] for k in self.around[v]])
         found.discard(v)
         return found
 
@@ -81,7 +82,15 @@ def _collapsed(positions: np.ndarray, faces: np.ndarray, vertices: int) -> tuple
     at, around, stamp = s.at, s.around, [0] * len(s.at)
 
     def entry(u: int, v: int) -> tuple:
-        return sum((a - b) ** 2 for a, b in zip(at[u], at[v])), u, v, stamp[u], stamp[v]
+        (a, b, c), (x, y, z) = at[u], at[v]
+        return (a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2, u, v, stamp[u], stamp[v]
+
+    def turns(k: int, u: int, v: int, middle: list[float]) -> bool:
+        """Whether a face turns where these two vertices become one."""
+        i, j, k = s.faces[k]
+        a, b, c = at[i], at[j], at[k]
+        return _turned(_cross(a, b, c), _cross(middle if i == u or i == v else a, middle if j == u or j == v else b,
+                                               middle if k == u or k == v else c))
 
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0).tolist()
     queue, left = [entry(u, v) for u, v in edges], len(s.at)
@@ -91,14 +100,15 @@ def _collapsed(positions: np.ndarray, faces: np.ndarray, vertices: int) -> tuple
         if stamp[u] != su or stamp[v] != sv:
             continue
         shared = around[u] & around[v]
+        if len(shared) != 2:
+            continue
         near_u, near_v = s.neighbours(u), s.neighbours(v)
-        if len(shared) != 2 or len(near_u & near_v) != 2 or min(len(near_u), len(near_v)) < 4:
+        if len(near_u & near_v) != 2 or min(len(near_u), len(near_v)) < 4:
             continue  # a handle would close, or a fold open
         if len(near_u | near_v) - 2 > MOST_NEIGHBOURS:
             continue
         middle = [(a + b) / 2.0 for a, b in zip(at[u], at[v])]
-        if any(_turned(_cross(*(at[w] for w in s.faces[k])), _cross(*(middle if w in (u, v) else at[w] for w in s.faces[k])))
-               for k in (around[u] | around[v]) - shared):
+        if any(turns(k, u, v, middle) for k in (around[u] | around[v]) - shared):
             continue
         for k in shared:
             for w in s.faces[k]:
@@ -132,9 +142,9 @@ def _flipped(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
         if first[(first.index(u) + 1) % 3] != v:
             continue
         c, d = (next(w for w in face if w != u and w != v) for face in (first, second))  # first is u v c, second v u d
-        counts = [len(around[w]) for w in (u, v, c, d)]
-        gain = sum((n - 6) ** 2 for n in counts) - sum((n + step - 6) ** 2 for n, step in zip(counts, (-1, -1, 1, 1)))
-        if gain <= 0 or min(counts[:2]) < 4 or around[c] & around[d]:
+        i, j, k, n = len(around[u]), len(around[v]), len(around[c]), len(around[d])
+        gain = i + j - k - n - 2  # half of what the squared differences from six become less by
+        if gain <= 0 or min(i, j) < 4 or around[c] & around[d]:
             continue
         new = [c, d, v], [d, c, u]
         normal = [a + b for a, b in zip(_cross(*(at[w] for w in first)), _cross(*(at[w] for w in second)))]

@@ -14,6 +14,7 @@ GUTTER = 1.0 / 128.0  # around each chart, of the square's side: two texels of 2
 SEEN = 0.35  # least cosine between a face and its chart's axis
 SMALL = 6  # faces of a chart that is given to a neighbour, if that sees them
 SMOOTHED = 4
+PAIRS = 1 << 18  # of faces, looked at at once
 
 
 def unwrapped(positions: np.ndarray, faces: np.ndarray) -> Charts:
@@ -83,9 +84,14 @@ def _single(positions: np.ndarray, faces: np.ndarray, side: np.ndarray, chart: n
     tree = needed("scipy.spatial").cKDTree(middle)
     reach = float(np.linalg.norm(high - low, axis=1).max()) if len(faces) else 0.0
     over = np.zeros(len(faces), bool)
-    for i, j in tree.query_pairs(reach, output_type="ndarray") if len(faces) > 1 else ():
-        if chart[i] == chart[j] and not over[i] and not over[j] and (_holds(corners[i], middle[j]) or _holds(corners[j], middle[i])):
-            over[j] = True
+    near = tree.query_pairs(reach, output_type="ndarray") if len(faces) > 1 else np.zeros((0, 2), int)
+    near = near[chart[near[:, 0]] == chart[near[:, 1]]]
+    for some in np.array_split(near, 1 + len(near) // PAIRS):
+        i, j = some.T
+        lies = _holds(corners[i], middle[j]) | _holds(corners[j], middle[i])
+        for one, other in some[lies].tolist():
+            if not over[one] and not over[other]:
+                over[other] = True
     if not over.any():
         return chart
     split = np.where(over, chart + chart.max() + 1, chart)
@@ -95,11 +101,12 @@ def _single(positions: np.ndarray, faces: np.ndarray, side: np.ndarray, chart: n
     return graph.connected_components(matrix, directed=False)[1]
 
 
-def _holds(triangle: np.ndarray, point: np.ndarray) -> bool:
-    """Whether a triangle (3, 2) has the point inside."""
-    a, b, c = triangle - point
-    turns = [p[0] * q[1] - p[1] * q[0] for p, q in ((a, b), (b, c), (c, a))]
-    return all(t > 0 for t in turns) or all(t < 0 for t in turns)
+def _holds(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n,) whether triangles (n, 3, 2) have points (n, 2) inside."""
+    at = triangles - points[:, None]
+    after = np.roll(at, -1, axis=1)
+    turns = at[..., 0] * after[..., 1] - at[..., 1] * after[..., 0]
+    return (turns > 0).all(axis=1) | (turns < 0).all(axis=1)
 
 
 def _packed(positions: np.ndarray, faces: np.ndarray, side: np.ndarray, chart: np.ndarray) -> Charts:
