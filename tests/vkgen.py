@@ -165,6 +165,9 @@ def _set(self, values):
     for name, value in values.items():
         if name not in kinds:
             raise TypeError(f"{type(self).__name__} has no member {name!r}")
+        if type(value) is int:
+            object.__setattr__(self, name, value)
+            continue
         value, length = _convert(kinds[name], value)
         object.__setattr__(self, name, value)
         count = self._counts_.get(name)

@@ -5,6 +5,8 @@ import numpy as np
 
 from .lookup import to_table
 
+SIDES = ((0, 1), (1, 2), (0, 2))  # the corners of a face, edge by edge
+
 
 def segment_distance2(p, s):
     """Squared distance of points (..., 2) to segments (..., 4)."""
@@ -28,38 +30,57 @@ def cross2(a, b):
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _fragments(clip, faces, entries, extent, cell_w, cell_h, columns, views, vertices, face_count, radius, near, **_):
-    """Yield (ys, xs, code, depth) of every face, in drawing order: of those listed, or of all where `entries` is None."""
+def _clipped(h, near):
+    """The edges (n, 4) of one face (3, 3), homogeneous in pixels, before the near plane."""
+    return [s for s in (clip_segment(h[a], h[b], near) for a, b in SIDES) if s is not None]
+
+
+def _boxes(h, near, reach, half, cell):
+    """Of faces (F, 3, 3), homogeneous in pixels, the boxes of pixels (F, 2), (F, 2) that they may reach, and the edges (F, 3, 4) of those
+    wholly before the near plane, as `whole` (F,) says."""
+    whole = (h[:, :, 2] >= near).all(axis=1)
+    corners = h[:, :, :2] / np.where(whole[:, None, None], h[:, :, 2:], 1.0)
+    edges = np.stack([np.concatenate([corners[:, a], corners[:, b]], axis=1) for a, b in SIDES], axis=1)
+    least, most = corners.min(axis=1), corners.max(axis=1)
+    for f in np.flatnonzero(~whole):
+        ends = np.array(_clipped(h[f], near)).reshape(-1, 2)
+        least[f], most[f] = (ends.min(0), ends.max(0)) if len(ends) else (np.inf, -np.inf)
+    with np.errstate(all="ignore"):
+        return (np.clip(np.floor(least - reach + half), 0, cell).astype(int), np.clip(np.ceil(most + reach + half), 0, cell).astype(int),
+                edges, whole)
+
+
+def _fragments(clip, faces, entries, extent, cell_w, cell_h, columns, views, vertices, face_count, near, radius=None, **_):
+    """Yield (ys, xs, code, depth) of every face, in drawing order: of those listed, or of all where `entries` is None; without a radius of
+    the pixels that it covers."""
     half = np.array([cell_w / 2, cell_h / 2, 1.0])
     clip, faces = clip.reshape(-1, 4), faces.reshape(-1)[:3 * face_count].reshape(-1, 3)
     for view in range(views):
-        table = clip[view * vertices:(view + 1) * vertices]
-        corner = np.array([view % columns * cell_w, view // columns * cell_h])
-        for f, t in enumerate(faces):
+        table = clip[view * vertices:(view + 1) * vertices][faces]
+        left, top = view % columns * cell_w, view // columns * cell_h
+        screen = table[:, :, [0, 1, 3]] * half
+        signs = np.where(np.linalg.det(table[:, :, [0, 1, 3]]) < 0, -1, 1)
+        low, high, edges, whole = _boxes(screen, near, 1 if radius is None else radius + 1, half[:2], [cell_w, cell_h])
+        for f in np.flatnonzero((high > low).all(axis=1)):
             if entries is not None and view * face_count + f not in entries:
                 continue
-            c = table[t]
-            h = c[:, [0, 1, 3]] * half
-            det = np.linalg.det(c[:, [0, 1, 3]])
-            segments = [s for s in (clip_segment(h[a], h[b], near) for a, b in ((0, 1), (1, 2), (0, 2))) if s is not None]
-            if not segments:
-                continue
-            ends = np.array(segments).reshape(-1, 2)
-            lo = np.clip(np.floor(ends.min(0) - radius - 1 + half[:2]), 0, [cell_w, cell_h]).astype(int)
-            hi = np.clip(np.ceil(ends.max(0) + radius + 1 + half[:2]), 0, [cell_w, cell_h]).astype(int)
-            if (hi <= lo).any():
-                continue
-            ys, xs = (g.ravel() for g in np.mgrid[lo[1]:hi[1], lo[0]:hi[0]])
-            p = np.stack([xs, ys], 1) + 0.5 - half[:2]
-            a = [h[k, :2] - p * h[k, 2] for k in range(3)]
-            e = np.stack([cross2(a[1], a[2]), cross2(a[2], a[0]), cross2(a[0], a[1])], 1) * (-1 if det < 0 else 1)
+            c, h, (x0, y0), (x1, y1) = table[f], screen[f], low[f], high[f]
+            px, py = np.arange(x0, x1) + 0.5 - half[0], np.arange(y0, y1)[:, None] + 0.5 - half[1]
+            ax, ay = [h[k, 0] - px * h[k, 2] for k in range(3)], [h[k, 1] - py * h[k, 2] for k in range(3)]
+            e = np.stack([(ax[i] * ay[j] - ay[i] * ax[j]).ravel() for i, j in ((1, 2), (2, 0), (0, 1))], 1) * signs[f]
             total, w = e.sum(1), e @ h[:, 2]
             hard = (e.min(1) >= 0) & (total > 0) & (w > near * total)
-            d = np.sqrt(np.min([segment_distance2(p, s) for s in segments], axis=0))
+            code, (ys, xs) = 2 * (view * face_count + f), np.divmod(np.arange(len(e)), x1 - x0)
+            ys, xs = ys + (y0 + top), xs + (x0 + left)
+            if radius is None:
+                yield ys[hard], xs[hard], np.full(hard.sum(), code + 1), 0.5 * np.clip((e @ c[:, 2])[hard] / w[hard], 0, 1)
+                continue
+            p = np.stack([(xs - left) + 0.5 - half[0], (ys - top) + 0.5 - half[1]], 1)
+            d = np.sqrt(np.min([segment_distance2(p, s) for s in (edges[f] if whole[f] else _clipped(h, near))], axis=0))
             keep = hard | (d <= radius)
             with np.errstate(all="ignore"):
                 depth = np.where(hard, 0.5 * np.clip(e @ c[:, 2] / np.where(hard, w, 1), 0, 1), 0.5 + 0.4999 * d / radius)
-            yield ys[keep] + corner[1], xs[keep] + corner[0], 2 * (view * face_count + f) + hard[keep], depth[keep]
+            yield ys[keep], xs[keep], code + hard[keep], depth[keep]
 
 
 def _layer(behind, clip, faces, entries, count, extent, **attrs):
@@ -85,8 +106,8 @@ def rasterize_hard(clip, corners, extent, **attrs):
     """The front face of each pixel."""
     code = np.full((extent.height, extent.width), -1, np.int64)
     depth = np.ones((extent.height, extent.width))
-    for ys, xs, c, d in _fragments(clip, corners, None, extent, **attrs, radius=0.01):
-        nearer = (c & 1 == 1) & (d < depth[ys, xs])
+    for ys, xs, c, d in _fragments(clip, corners, None, extent, **attrs):
+        nearer = d < depth[ys, xs]
         code[ys[nearer], xs[nearer]], depth[ys[nearer], xs[nearer]] = c[nearer] >> 1, d[nearer]
     return code[..., None]
 
@@ -94,8 +115,8 @@ def rasterize_hard(clip, corners, extent, **attrs):
 def rasterize_covered(clip, faces, behind, extent, **attrs):
     """Whether any face covers the pixel."""
     code = np.full((extent.height, extent.width), -1, np.int64)
-    for ys, xs, c, _ in _fragments(clip, faces.reshape(-1, 4)[:, :3], None, extent, **attrs, radius=0.01):
-        code[ys[c & 1 == 1], xs[c & 1 == 1]] = 0
+    for ys, xs, _, _ in _fragments(clip, faces.reshape(-1, 4)[:, :3], None, extent, **attrs):
+        code[ys, xs] = 0
     return code[..., None]
 
 
