@@ -9,6 +9,7 @@ from drivers import whole
 from dressi_edge.cache.layout import Layout
 from dressi_edge.cache.profile import Profile, canonical, merge
 from dressi_edge.compiler import Options, Program, build
+from dressi_edge.compiler.backend.emit import emit
 from dressi_edge.compiler.graph.functions import apply, gather_sum
 from dressi_edge.compiler.graph.ir import UNIT
 from dressi_edge.compiler.passes import split
@@ -188,3 +189,23 @@ def test_profiles_without_a_bound_are_what_they_were_and_the_least_binds_in_a_me
     assert "max_live" not in canonical(free) and canonical(tight)["max_live"] == 40 and free.digest != tight.digest
     assert merge([free, tight, roomy(50)], "m").max_live == 40 and merge([free, free], "m").max_live is None
     assert substages(folded(10), free) == substages(folded(10), roomy(1000))
+
+
+def test_loops_keep_over_all_turns_what_a_shader_has_room_for_and_the_bits_are_the_same(gpu):
+    """Every-face rendering's gradient fetches a face's corners and colours once, or at each pixel of its box where registers are few; its
+    six results, 21 numbers beside 38, then come from two shaders."""
+    found = {}
+    for most, together in ((None, True), (120, True), (50, False)):
+        program, profile = whole.binned().program, roomy(most)
+        stages = build(program, profile).stages["fit"]
+        (given, text), = [({n.op.name for n in s.nodes}, code.draws[0].fragment) for stage, codes in zip(stages, emit(stages, profile))
+                          for s, code in zip(stage.substages, codes) if any(n.op.name == "soft_place_gradient" for n in s.nodes)]
+        before, _, turn = text.partition("for (;;)")
+        assert ("vec4 v0_" in before, "vec4 v0_" in turn, "soft_color_gradient" in given) == (together, not together, together)
+        with gpu.open(program, profile) as session:
+            session.step(3, "fit")
+            found[most] = [session.get(name) for name in ("vertices", "colors", "fit.loss")]
+    gpu.silent()
+    for most in (120, 50):
+        for expected, got in zip(found[None], found[most]):
+            np.testing.assert_array_equal(got, expected)

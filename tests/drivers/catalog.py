@@ -71,7 +71,7 @@ def _nvidia(chip: int, profile: str) -> Driver:
 
 def _mali(number: str, profile: str) -> Driver:
     environment = {"PAN_GPU_ID": number, "PAN_I_WANT_A_BROKEN_VULKAN_DRIVER": "1"}
-    return Driver("unstable-arm64", "panfrost", "panfrost", environment, "arm", profile, {"binned": 48})
+    return Driver("unstable-arm64", "panfrost", "panfrost", environment, "arm", profile)
 
 
 DRIVERS = {
@@ -93,7 +93,7 @@ DRIVERS = {
     "mali-g76": _mali("7211", "mali_g76_panvk"),
     "mali-g610": _mali("a867", "mali_g610"),
     "powervr-bxs": Driver("unstable-arm64", "powervr_mesa", "powervr", {"PVR_I_WANT_A_BROKEN_VULKAN_DRIVER": "1"}, "arm", "powervr_bxs"),
-    "videocore7": Driver("unstable-arm64", "broadcom", "v3d", {}, "arm", "videocore7", {"binned": 83}),
+    "videocore7": Driver("unstable-arm64", "broadcom", "v3d", {}, "arm", "videocore7", {"binned": 23}),
 }
 # Profiles that `capture.py` writes: of which driver, what the device is.
 CAPTURED = {

@@ -15,6 +15,7 @@ from ..graph.ir import UNIT, Extent, Node, is_int
 from ..graph.ops.leaf import literal_glsl
 from ..graph.optable import COUNT, FILTERED, OWN, TILE, VERTEX
 from ..passes.compute import NARROW, shape, spread
+from ..passes.pressure import keeps
 from ..passes.substage import KEPT, LISTED, TEXELS, TILES, Stage, Substage, merged_reads
 from .code import ATTACHMENT, SAMPLED, SAMPLER, Binding, Code, DispatchCode, DrawCode
 from .rows import Rows
@@ -115,6 +116,7 @@ class _Emitter:
                     self.bindings.append(Binding(x, key[1], x in vertex, x in fragment and x is not self.tiled, key[2]))
         self.values: dict[Node, str] = {}
         self.own: dict[int, None] = {}
+        self.lean = not keeps(stage.nodes, stage.outputs, profile.max_live)
 
     def rows_of(self, x: Node) -> Rows | None:
         """How its image lies, where not as its extent says."""
@@ -244,7 +246,8 @@ class _Emitter:
             for n in nodes:
                 if depth[n] == level and n.op.loop is not None:
                     lines.append(f"{n.vtype} {self.values[n]} = {n.vtype}(0);")
-                    loops.setdefault(_mark(n.op.loop.header, self.names(n)), []).append(n)
+                    header = self.lean and n.op.loop.lean[0] or n.op.loop.header
+                    loops.setdefault(_mark(header, self.names(n)), []).append(n)
             for header, members in loops.items():
                 body = " ".join(_mark(n.op.loop.body, self.names(n)) for n in members)
                 lines.append(f"{header} {body} {members[0].op.loop.close}")

@@ -32,12 +32,14 @@ OWN, TEXEL, FILTERED, VERTEX, TILE, COUNT = "own", "texel", "filtered", "vertex"
 @dataclass(frozen=True)
 class Loop:
     """A snippet that loops: ops whose headers come out equal share one loop. The result starts at zero; `body` adds to it. holds: of how
-    many 32-bit numbers the header's variables are where most of them are needed, beside inputs at the own texel; 0 for a few."""
+    many 32-bit numbers the header's variables are where most of them are needed, beside inputs at the own texel; 0 for a few. lean: a
+    header for few registers, which fetches in each turn what `header` keeps over all of them, and how many numbers that are."""
 
     header: str
     body: str
     close: str = "}"
     holds: int = 0
+    lean: tuple[str, int] = ("", 0)
 
 
 @dataclass(frozen=True)
@@ -245,12 +247,10 @@ def _split_words(attrs: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def common_extent(name: str, inputs: tuple[Node, ...]) -> Extent:
     """The extent of inputs that are equal or 1 x 1."""
     extent = UNIT
-    for x in inputs:
-        if x.extent != UNIT:
-            if extent not in (UNIT, x.extent):
-                raise GraphError(f"{name}: extents {extent} and {x.extent} differ; equal ones or 1x1 are allowed: "
-                                 + ", ".join(map(repr, inputs)))
-            extent = x.extent
+    for found in (x.extent for x in inputs if x.extent != UNIT):
+        if extent not in (UNIT, found):
+            raise GraphError(f"{name}: extents {extent} and {found} differ; equal ones or 1x1 are allowed: {', '.join(map(repr, inputs))}")
+        extent = found
     return extent
 
 
@@ -322,8 +322,7 @@ def as_node(x) -> Node:
     """A node, or a Python or NumPy number as a literal. Raises GraphError."""
     if isinstance(x, Node):
         return x
-    if isinstance(x, np.ndarray) and x.ndim == 0:
-        x = x[()]
+    x = x[()] if isinstance(x, np.ndarray) and x.ndim == 0 else x
     if isinstance(x, int | float | np.number | np.bool_):
         return apply("literal", value=int(x) if isinstance(x, int | np.integer) and not isinstance(x, bool) else float(x))
     raise GraphError(f"{type(x).__name__} {' '.join(repr(x).split()):.60} is neither a graph value nor a number; wrap arrays with "

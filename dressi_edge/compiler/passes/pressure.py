@@ -111,3 +111,11 @@ def peak(nodes: Sequence[Node], outputs: Iterable[Node], known: dict[Node, Needs
             most, at = now, k
     inside = set(nodes)
     return Peak(most, tuple(n for n, k in made.items() if n in inside and k < at < begin.get(n, 0)))
+
+
+def keeps(nodes: Sequence[Node], outputs: Iterable[Node], most: int | None) -> bool:
+    """Whether loops have room for what is the same in all turns, where a shader may hold so many numbers at once."""
+    if most is None:
+        return True
+    kept = sum(dict((needs(n).loop, n.op.loop.lean[1]) for n in nodes if n.op.loop is not None).values())
+    return not kept or peak(nodes, outputs).count + kept <= most

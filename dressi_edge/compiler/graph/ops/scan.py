@@ -89,8 +89,10 @@ for (int k_ = {i} < {count} ? {i} - {i} % {chunk} : {i}; k_ < {i}; ++k_) {y} += 
    sample=lambda rng: ([rng.integers(0, 9, (7, 5, 1)), rng.integers(0, 100, (5, 1, 1))], {"chunk": 8, "count": 33}),
    doc="For each entry the start of its chunk plus the sum of the entries before it in the chunk; 0 from `count` on.")
 
-_OWN = f"""int first_ = (group_ * {LANES} + lane_) * {EACH}, sum_ = 0, own_[{EACH}];
-for (int k_ = 0; k_ < {EACH}; ++k_) {{ own_[k_] = first_ + k_ < {{count}} ? {{x_at}}(first_ + k_) : 0; sum_ += own_[k_]; }}
+# Entries are read again when they are needed again: sixteen of them over two trees are too many for small register files.
+_ENTRY = "first_ + k_ < {count} ? {x_at}(first_ + k_) : 0"
+_OWN = f"""int first_ = (group_ * {LANES} + lane_) * {EACH}, sum_ = 0;
+for (int k_ = 0; k_ < {EACH}; ++k_) sum_ += {_ENTRY};
 part_[lane_] = sum_;
 barrier();
 """
@@ -133,7 +135,7 @@ op("scan_chunks_shared", "x starts", stage="kernel", reads="texel texel", attrs=
    kernel=Kernel(_OWN + _UP + _DOWN + f"""int before_ = {{starts_at}}(min(group_, {{starts_n}} - 1)) + part_[lane_];
 for (int k_ = 0; k_ < {EACH}; ++k_) {{
     if (first_ + k_ < {{whole}}) {{store}}(first_ + k_, first_ + k_ < {{count}} ? before_ : 0);
-    before_ += own_[k_];
+    before_ += {_ENTRY};
 }}""", _SHARED, LANES, 4 * LANES, lambda node: -(-_whole(node) // SHARED_CHUNK)),
    sample=lambda rng: ([to_table(rng.integers(-9, 9, 2500)), to_table(rng.integers(0, 99, 3))], {"count": 2407}),
    doc="For each entry the start of its chunk of 1024 plus the sum of those before it there, by a workgroup; 0 from `count` on.")

@@ -19,7 +19,7 @@ from ..optable import Loop, apply, at, op
 from . import soft_reference as reference
 from .bins import Grid
 from .lookup import constant, constant_table, to_table
-from .soft_glsl import ADD_WEIGHTS, BY_DISTANCE, BY_WEIGHTS, FUNCTIONS, GEOMETRY, NEXT, OVER_BOX, TILE, WEIGHTS
+from .soft_glsl import ADD_WEIGHTS, BY_DISTANCE, BY_WEIGHTS, FUNCTIONS, GEOMETRY, NEAREST, NEXT, TILE, WEIGHTS, over_box
 from .soft_mask import soft_masks
 from .tile_lists import bin_faces
 from .vector import compose
@@ -45,10 +45,12 @@ ALPHA_BODY = "{y} = 1.0 - clear_;", "} }"
 SUMS_BODY = "{y} = {y} * keep_ + w_ * vec4(color_, 1.0);", "} }"
 MOST_BODY = "{y} = vec2(near_ || {y}.x != 0.0 ? most_ : 0.0, 1.0 - clear_);", "} }"
 
-_ALPHA_GRADIENT = OVER_BOX.replace("MORE", "") + GEOMETRY + "float by_x_ = {slope}(p_) * probability_;\n" + BY_DISTANCE
-_KEPT = "vec3 k0_ = {c0_at}({i}), k1_ = {c1_at}({i}), k2_ = {c2_at}({i});"
-_BLEND_GRADIENT = (OVER_BOX.replace("MORE", _KEPT) + "vec4 slope_ = {slope}(p_);\nvec2 most_ = {most}(p_);\n" + GEOMETRY + WEIGHTS
-                   + BY_WEIGHTS + BY_DISTANCE + ADD_WEIGHTS)
+_ALPHA_TURN = NEAREST + "float by_x_ = {slope}(p_) * probability_;\n" + BY_DISTANCE
+_ALPHA_GRADIENT, _ALPHA_LEAN = (text + _ALPHA_TURN for text in over_box("", ""))
+_KEPT = "vec3 k0_ = {c0_at}({i}), k1_ = {c1_at}({i}), k2_ = {c2_at}({i});\n"
+_SLOPE = "vec4 slope_ = {slope}(p_);\nvec3 by_b_w_ = vec3(dot(slope_.xyz, k0_), dot(slope_.xyz, k1_), dot(slope_.xyz, k2_));\n"
+_BLEND_TURN = NEAREST + "vec2 most_ = {most}(p_);\n" + WEIGHTS + BY_WEIGHTS + BY_DISTANCE + ADD_WEIGHTS
+_BLEND_GRADIENT, _BLEND_LEAN = (text + _BLEND_TURN for text in over_box(_KEPT, _SLOPE))
 _CORNER = "({corner} == 0 ? g0_ : {corner} == 1 ? g1_ : g2_)"
 
 _CELLS = "cell_w cell_h columns face_count"
@@ -243,7 +245,7 @@ def _alpha_gradient_sample(rng):
 op("soft_alpha_gradient", "v0 v1 v2 boxes slope", alike=((1, 0), (2, 0), (3, 0)), attrs=f"corner low high band {PAIR}",
    reads=" ".join(["texel"] * 5), infer=_over_faces("vec4"),
    ref=reference.soft_alpha_gradient, functions=FUNCTIONS, cost=2000, sample=_alpha_gradient_sample,
-   loop=Loop(_ALPHA_GRADIENT, "{y} += " + _CORNER + ";", "} }"),
+   loop=Loop(_ALPHA_GRADIENT, "{y} += " + _CORNER + ";", "} }", holds=30, lean=(_ALPHA_LEAN, 12)),
    doc="Transpose of soft_alpha: for each face the gradient by one corner, over the pixels of its box in rows low to high of the cell; "
        "`band` rows of padding. slope: the gradient by alpha times 1 - alpha.")
 
@@ -329,7 +331,8 @@ for _name, _vtype, _body, _what in (("soft_place_gradient", "vec4", "{y} += " + 
                                      "{y} += slope_.xyz * (w_ * ({corner} == 0 ? b_.x : {corner} == 1 ? b_.y : b_.z));", "colour")):
     op(_name, "v0 v1 v2 c0 c1 c2 boxes slope most", alike=(*((k, 0) for k in range(1, 7)), (8, 7)),
        attrs=f"corner low high band {PAIR} gamma", reads=" ".join(["texel"] * 9), infer=_over_faces(_vtype), cost=3000,
-       ref=getattr(reference, _name), functions=FUNCTIONS, sample=_blend_gradient_sample, loop=Loop(_BLEND_GRADIENT, _body, "} }"),
+       ref=getattr(reference, _name), functions=FUNCTIONS, sample=_blend_gradient_sample,
+       loop=Loop(_BLEND_GRADIENT, _body, "} }", holds=38, lean=(_BLEND_LEAN, 21)),
        doc=f"Transpose of soft_blend: for each face the gradient by one corner's {_what}, over the pixels of its box in rows low to high "
            "of the cell; `band` rows of padding. slope: by the sum of colours and of weights; most: the largest depth, and the gradient by "
            "alpha times 1 - alpha.")

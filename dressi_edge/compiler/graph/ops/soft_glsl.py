@@ -8,9 +8,8 @@ bool soft_front(float iw) { return iw > 0.0 && iw <= 1.0; }
 // Screen ends of the edge between corners (x, y, near / w), clipped to the near plane; 1e9 where nothing is left.
 vec4 soft_clip(vec3 a, vec3 b) {
     bool front_a = soft_front(a.z), front_b = soft_front(b.z);
-    if (!front_a && !front_b) return vec4(1e9);
     float den = b.z - a.z;
-    vec2 cut = a.xy + (b.xy - a.xy) * ((1.0 - a.z) / (front_a != front_b ? den : 1.0));
+    vec2 cut = front_a || front_b ? a.xy + (b.xy - a.xy) * ((1.0 - a.z) / (front_a != front_b ? den : 1.0)) : vec2(1e9);
     return vec4(front_a ? a.xy : cut, front_b ? b.xy : cut);
 }
 // Squared distance of the origin to a segment, and where on it the nearest point is.
@@ -22,22 +21,35 @@ vec2 soft_distance2(vec4 s) {
 }
 """
 
-# Of the corners v0_, v1_, v2_ and the place q_: signed areas, whether the face covers the place, its three edges and how far they are.
-GEOMETRY = """
+# Of the corners v0_, v1_, v2_ and the place q_: signed areas, and whether the face covers the place.
+_AREAS = """
 vec2 a0_ = v0_.xy - q_, a1_ = v1_.xy - q_, a2_ = v2_.xy - q_;
 vec3 iw_ = vec3(v0_.z, v1_.z, v2_.z), area_ = vec3(soft_cross(a1_, a2_), soft_cross(a2_, a0_), soft_cross(a0_, a1_));
 float whole_ = area_.x + area_.y + area_.z, facing_ = whole_ < 0.0 ? -1.0 : 1.0;
 area_ *= facing_;
 vec3 m_ = area_ * iw_;
 bool hard_ = min(min(m_.x, m_.y), m_.z) >= 0.0 && whole_ != 0.0 && abs(whole_) >= m_.x + m_.y + m_.z;
-vec4 s0_ = vec4(a0_, a1_), s1_ = vec4(a1_, a2_), s2_ = vec4(a0_, a2_);
-for (int cut_ = soft_front(iw_.x) && soft_front(iw_.y) && soft_front(iw_.z) ? 0 : 1; cut_ > 0; --cut_) {
-    s0_ = soft_clip(vec3(a0_, iw_.x), vec3(a1_, iw_.y));
-    s1_ = soft_clip(vec3(a1_, iw_.y), vec3(a2_, iw_.z));
-    s2_ = soft_clip(vec3(a0_, iw_.x), vec3(a2_, iw_.z));
-}
-vec2 d0_ = soft_distance2(s0_), d1_ = soft_distance2(s1_), d2_ = soft_distance2(s2_);
-float far_ = min(min(d0_.x, d1_.x), d2_.x), d_ = sqrt(far_);
+"""
+# How far the nearest edge is, seen from q_. All three are cut at the near plane whether they cross it or not: drivers that run many
+# invocations at once do that sooner than a branch.
+_FAR = """
+vec3 r0_ = vec3(a0_, iw_.x), r1_ = vec3(a1_, iw_.y), r2_ = vec3(a2_, iw_.z);
+float far_ = min(min(soft_distance2(soft_clip(r0_, r1_)).x, soft_distance2(soft_clip(r1_, r2_)).x), soft_distance2(soft_clip(r0_, r2_)).x);
+"""
+# And which one it is, with the nearest point on it: one after the other, so that no more than two are held at once.
+_NEAREST = """
+vec3 r0_ = vec3(a0_, iw_.x), r1_ = vec3(a1_, iw_.y), r2_ = vec3(a2_, iw_.z);
+int edge_ = 0;
+vec4 s_ = soft_clip(r0_, r1_), other_ = soft_clip(r1_, r2_);
+vec2 on_ = soft_distance2(s_), on_other_ = soft_distance2(other_);
+if (on_other_.x < on_.x) { edge_ = 1; s_ = other_; on_ = on_other_; }
+other_ = soft_clip(r0_, r2_);
+on_other_ = soft_distance2(other_);
+if (on_other_.x < on_.x) { edge_ = 2; s_ = other_; on_ = on_other_; }
+float far_ = on_.x;
+"""
+_PROBABILITY = """
+float d_ = sqrt(far_);
 bool near_ = hard_ || {hard_only} == 0 && d_ <= float({radius});
 float x_ = ({squared} != 0 ? far_ : d_) * (hard_ ? 1.0 : -1.0) / float({sigma}), exp_ = exp(-abs(x_));
 float big_ = 1.0 / (1.0 + exp_), small_ = exp_ * big_;
@@ -45,6 +57,9 @@ float probability_ = x_ < 0.0 ? small_ : big_, beside_ = x_ < 0.0 ? big_ : small
 if ({hard_only} != 0) { probability_ = 1.0; beside_ = 0.0; }
 if (!near_) { probability_ = 0.0; beside_ = 1.0; }
 """
+# A pair, for who wants its sum, and for who wants its gradient.
+GEOMETRY = _AREAS + _FAR + _PROBABILITY
+NEAREST = _AREAS + _NEAREST + _PROBABILITY
 # Weights b_ of the corners, those outside the face cut to 0, and the depth z_.
 WEIGHTS = """
 vec3 cut_m_ = max(m_, vec3(0.0));
@@ -97,25 +112,34 @@ ivec2 pixel_ = in_ + ivec2(view_ % {columns}, view_ / {columns}) * ivec2({cell_w
 bool there_ = in_.x < {cell_w} && in_.y < {cell_h};
 """ + _LIST
 
-# Of a face, pixel by pixel of that part of its box which lies in rows `low` to `high` of the cell.
-OVER_BOX = """{ ivec4 box_ = {i} < {n} ? {boxes_at}({i}) : ivec4(0);
+_OVER_BOX = """{ ivec4 box_ = {i} < {n} ? {boxes_at}({i}) : ivec4(0);
 int view_ = {i} / {face_count};
 vec2 center_ = vec2(ivec2(view_ % {columns}, view_ / {columns}) * ivec2({cell_w}, {cell_h})) + 0.5 * vec2(ivec2({cell_w}, {cell_h}));
-vec4 v0_ = {v0_at}({i}), v1_ = {v1_at}({i}), v2_ = {v2_at}({i});
-MORE
 int top_ = view_ / {columns} * {cell_h};
 box_.yw = clamp(box_.yw, top_ + {low}, top_ + {high});
 ivec2 p_ = ivec2(box_.x - 1, box_.y);
+HELD
 for (;;) {
 if (++p_.x >= box_.z) { p_.x = box_.x; ++p_.y; }
 if (p_.y >= box_.w) break;
 vec2 q_ = vec2(p_) + 0.5 - center_;
+TURN
 """
+_CORNERS = "vec4 v0_ = {v0_at}({i}), v1_ = {v1_at}({i}), v2_ = {v2_at}({i});\n"
+
+
+def over_box(held: str, turn: str) -> tuple[str, str]:
+    """A loop over the pixels of a face's box in rows `low` to `high` of the cell, as two texts. held: fetches what is the same at every
+    pixel; turn: what is made of it at one. The first fetches the corners, too, before the loop. The second fetches all at each pixel, the
+    corners last, so that fewer registers do (`Loop.lean`)."""
+    return (_OVER_BOX.replace("HELD", held + _CORNERS).replace("TURN", turn),
+            _OVER_BOX.replace("HELD", "").replace("TURN", held + turn + _CORNERS))
+
+
 # From by_x_, the gradient by what the sigmoid is of, to the corners: along the nearest edge, and by its cut at the near plane.
 BY_DISTANCE = """
-bool first_ = d0_.x <= d1_.x && d0_.x <= d2_.x, second_ = !first_ && d1_.x <= d2_.x;
-vec4 s_ = first_ ? s0_ : second_ ? s1_ : s2_;
-float t_ = first_ ? d0_.y : second_ ? d1_.y : d2_.y;
+bool first_ = edge_ == 0, second_ = edge_ == 1;
+float t_ = on_.y;
 vec2 along_ = s_.zw - s_.xy, foot_ = s_.xy + t_ * along_, normal_ = vec2(along_.y, -along_.x);
 normal_ *= sign(dot(foot_, normal_));
 bool between_ = t_ > 0.0 && t_ < 1.0;
@@ -123,13 +147,14 @@ vec2 unit_ = (between_ ? normal_ : foot_) / max(between_ ? length(along_) : d_, 
 if (!near_ || {hard_only} != 0) by_x_ = 0.0;
 vec2 by_foot_ = ({squared} != 0 ? 2.0 * foot_ : unit_) * (by_x_ * (hard_ ? 1.0 : -1.0) / float({sigma}));
 vec3 by_a_ = vec3(by_foot_ * (1.0 - t_), 0.0), by_b_ = vec3(by_foot_ * t_, 0.0);
-vec3 a_ = second_ ? vec3(a1_, iw_.y) : vec3(a0_, iw_.x), e_ = first_ ? vec3(a1_, iw_.y) : vec3(a2_, iw_.z);
-for (int cut_ = soft_front(a_.z) == soft_front(e_.z) ? 0 : 1; cut_ > 0; --cut_) {
+vec3 a_ = second_ ? r1_ : r0_, e_ = first_ ? r1_ : r2_;
+bool front_a_ = soft_front(a_.z), front_e_ = soft_front(e_.z);
+if (front_a_ != front_e_) {
     float den_ = e_.z - a_.z, u_ = (1.0 - a_.z) / den_;
-    vec2 lost_ = soft_front(a_.z) ? by_b_.xy : by_a_.xy;
+    vec2 lost_ = front_a_ ? by_b_.xy : by_a_.xy;
     float by_u_ = dot(lost_, e_.xy - a_.xy) / den_;
-    by_a_ = vec3((soft_front(a_.z) ? by_a_.xy : vec2(0.0)) + lost_ * (1.0 - u_), by_u_ * (1.0 - u_) * -1.0);
-    by_b_ = vec3((soft_front(e_.z) ? by_b_.xy : vec2(0.0)) + lost_ * u_, by_u_ * -u_);
+    by_a_ = vec3((front_a_ ? by_a_.xy : vec2(0.0)) + lost_ * (1.0 - u_), by_u_ * (1.0 - u_) * -1.0);
+    by_b_ = vec3((front_e_ ? by_b_.xy : vec2(0.0)) + lost_ * u_, by_u_ * -u_);
 }
 vec4 g0_ = vec4(second_ ? vec3(0.0) : by_a_, 0.0), g1_ = vec4(first_ ? by_b_ : second_ ? by_a_ : vec3(0.0), 0.0);
 vec4 g2_ = vec4(first_ ? vec3(0.0) : by_b_, 0.0);
@@ -137,7 +162,6 @@ vec4 g2_ = vec4(first_ ? vec3(0.0) : by_b_, 0.0);
 BY_WEIGHTS = """
 float z_off_ = z_ - most_.x;
 float w_ = probability_ * exp(min(z_off_ / float({gamma}), 0.0));
-vec3 by_b_w_ = vec3(dot(slope_.xyz, k0_), dot(slope_.xyz, k1_), dot(slope_.xyz, k2_));
 float by_w_ = dot(by_b_w_, b_) + slope_.w, by_z_ = held_ ? 0.0 : by_w_ * w_ / float({gamma});
 vec3 by_weight_ = by_b_w_ * w_ + by_z_ * vec3(v0_.w, v1_.w, v2_.w);
 vec3 by_m_ = solid_ ? (by_weight_ - dot(by_weight_, b_)) / mass_ : vec3(0.0);

@@ -13,7 +13,7 @@ from ..optable import Loop, apply, common_extent, op
 from . import soft_reference as reference
 from .lookup import constant
 from .soft import LISTED, PAIR, over_pixels, sample_of
-from .soft_glsl import ADD_WEIGHTS, BY_DISTANCE, FUNCTIONS, GEOMETRY, NEXT, TILE, WEIGHTS
+from .soft_glsl import ADD_WEIGHTS, BY_DISTANCE, FUNCTIONS, GEOMETRY, NEAREST, NEXT, TILE, WEIGHTS
 
 LOWEST = 1e-38  # probability of which the logarithm is taken
 
@@ -105,7 +105,7 @@ op("soft_pair", "v0 v1 v2 place", attrs=_NEAR, infer=_pair_infer, reads="own own
    doc="Of the face with these corners, seen from `place`, which is held: the weights of the second and third corner at its point, "
        "the depth there, and D, 0 where it is further than `radius`; as `soft_sums` has them.")
 
-_PAIR_GRADIENT = _PAIR_OF + "vec4 g_ = {g};\n" + GEOMETRY + WEIGHTS + """
+_PAIR_GRADIENT = _PAIR_OF + "vec4 g_ = {g};\n" + NEAREST + WEIGHTS + """
 float by_z_ = held_ ? 0.0 : g_.z, by_x_ = g_.w * probability_ * beside_;
 vec3 by_weight_ = vec3(0.0, g_.xy) + by_z_ * vec3(v0_.w, v1_.w, v2_.w);
 vec3 by_m_ = solid_ ? (by_weight_ - dot(by_weight_, b_)) / mass_ : vec3(0.0);
