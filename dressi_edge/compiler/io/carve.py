@@ -18,7 +18,7 @@ from .views import Views
 COARSE = 40  # cells a side of the grid that looks for the hull
 GROWTH = 1.7
 ROUNDS = 8
-CHUNK = 1 << 18  # points at once
+CHUNK = 1 << 15  # points at once, which stay in a cache of the processor
 RAYS, SAMPLES = 64, 128  # of each view, and along each ray, where masks are asked whether they agree
 
 

@@ -175,14 +175,15 @@ def _list_ref(rows, bins, ordered, footprint):
     e = table(4 * footprint.shape[0] * footprint.shape[1])
     out = np.zeros((e.width * e.height, 2))
     pixels, f = ordered[..., 1].ravel(), footprint.reshape(-1, 4)[:, 2:]
-    for y, x in np.ndindex(rows.shape[:2]):
-        k = rows[y, x, 0]
-        for corner in range(4):
-            i, j = corner & 1, corner >> 1
-            p = pixels[slice(*bins[y - j, x - i])]
-            weight = (f[p, 0] if i else 1 - f[p, 0]) * (f[p, 1] if j else 1 - f[p, 1])
-            out[k:k + len(p)] = np.stack([p, weight], 1)
-            k += len(p)
+    begin = rows[..., 0].ravel()
+    for i, j in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        first, end = np.roll(bins, (j, i), (0, 1)).reshape(-1, 2).T
+        count = np.maximum(end - first, 0)
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)  # the how manieth of its bin each pixel is
+        p = pixels[np.repeat(first, count) + within]
+        weight = (f[p, 0] if i else 1 - f[p, 0]) * (f[p, 1] if j else 1 - f[p, 1])
+        out[np.repeat(begin, count) + within] = np.stack([p, weight], 1)
+        begin = begin + count
     return out.reshape(e.height, e.width, 2)
 
 
