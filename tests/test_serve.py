@@ -134,7 +134,7 @@ def test_a_port_in_use_is_said(bundle):
 
 @pytest.mark.skipif(chromium() is None, reason="no Chromium: the live page is asked, but not seen")
 def test_a_browser_shows_it_live_and_its_stop_button_stops(bundle):
-    with Served(bundle) as served, Browser() as browser:
+    with Served(bundle) as served, Browser(width=480, height=360) as browser:
         browser.open(served.address)
         browser.until("window.dressi && dressi.viewer.drawn && document.querySelectorAll('#sheet img').length")
         shown = "dressi.data.phases[0].steps"
