@@ -103,12 +103,9 @@ def test_total_variation_compares_texels_with_those_beside_and_below_in_their_ce
     w, h = cell or (14, 12)
 
     def loop(a, b):
-        x, total = (a * b).reshape(12, 14, -1), 0.0
-        for j, i, c in np.ndindex(x.shape):
-            beside = abs(x[j, i + 1, c] - x[j, i, c]) ** power if (i + 1) % w else 0.0
-            below = abs(x[j + 1, i, c] - x[j, i, c]) ** power if (j + 1) % h else 0.0
-            total += (beside + below) * (MASK[j, i] if masked else 1.0)
-        return total / x.size
+        x, weights = (a * b).reshape(12, 14, -1), MASK if masked else np.ones((12, 14))
+        return sum((abs(x.take(k + 1, axis) - x.take(k, axis)) ** power * weights.take(k, axis)[..., None]).sum()
+                   for axis, size in ((1, w), (0, h)) for k in range(x.shape[axis]) if (k + 1) % size) / x.size
 
     agrees(lambda a, b: total_variation(a * b, power, cell, F.constant(MASK[..., None]) if masked else None), loop, vtype)
 
@@ -116,10 +113,8 @@ def test_total_variation_compares_texels_with_those_beside_and_below_in_their_ce
 @pytest.mark.parametrize("vtype, masked", [("vec2", False), ("vec3", True), ("vec4", True)])
 def test_tint_is_how_far_a_texel_is_from_the_mean_of_its_channels(vtype, masked):
     def loop(a, b):
-        x, total = (a * b).reshape(12, 14, -1), 0.0
-        for j, i, c in np.ndindex(x.shape):
-            total += abs(x[j, i, c] - x[j, i].mean()) * (MASK[j, i] if masked else 1.0)
-        return total / x.size
+        x = (a * b).reshape(12, 14, -1)
+        return (abs(x - x.mean(axis=-1, keepdims=True)).sum(axis=-1) * (MASK if masked else 1.0)).sum() / x.size
 
     agrees(lambda a, b: tint(a * b, F.constant(MASK[..., None]) if masked else None), loop, vtype)
 
