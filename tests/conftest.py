@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+pytest.register_assert_rewrite("profile_bundles")  # a plugin that modules import names of, too
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
