@@ -153,6 +153,7 @@ BAD = {
     "attribute of none": (lambda x: F.apply("add", x, x, axis=1), "axis is no attribute of it; it has none"),
     "missing": (lambda x: F.apply("swizzle", x), "channels must be given"),
     "list as attribute": (lambda x: F.apply("broadcast", F.constant(np.ones((1, 1, 1))), extent=[5, 4]), "extent"),
+    "pair as extent": (lambda x: F.apply("broadcast", F.constant(np.ones((1, 1, 1))), extent=(5, 4)), "extent of type tuple"),
     "inputs": (lambda x: F.apply("add", x), "takes 2 inputs"),
     "text": (lambda x: x + "1", "neither a graph value nor a number"),
     "none": (lambda x: F.maximum(x, None), "neither a graph value nor a number"),

@@ -18,6 +18,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 
@@ -392,8 +393,8 @@ def apply(name: str, /, *inputs, **attrs) -> Node:
     nodes = _placed(row, stored(row, nodes))
     vtype, extent = row.infer(name, nodes, attrs)
     _check_places(row, nodes, attrs, extent)
-    try:
-        return intern(row, nodes, attrs, vtype, extent)
-    except TypeError:
-        raise GraphError(f"{name}: attributes are numbers, words, extents or tuples of them, got "
-                         f"{', '.join(f'{k} of type {type(v).__name__}' for k, v in attrs.items())}") from None
+    with suppress(TypeError):  # of what no dictionary takes as a key
+        if isinstance(extent, Extent):
+            return intern(row, nodes, attrs, vtype, extent)
+    raise GraphError(f"{name}: attributes are numbers, words, extents or tuples of them, got "
+                     f"{', '.join(f'{k} of type {type(v).__name__}' for k, v in attrs.items())}")
