@@ -19,7 +19,9 @@ from dressi_edge.compiler.graph.ops import soft, soft_parts, tile_lists
 from dressi_edge.compiler.graph.ops.bins import Grid
 from dressi_edge.compiler.graph.ops.tile_lists import bin_faces
 from dressi_edge.compiler.graph.reference import evaluate
+from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.render.atlas import Atlas
+from dressi_edge.compiler.render.optimizer import Sgd
 from dressi_edge.compiler.render.topology import Topology
 from dressi_edge.compiler.scene import (
     Adam,
@@ -372,6 +374,23 @@ def test_a_face_of_more_pixels_than_a_loop_has_turns_keeps_its_gradient(gpu):
         found = d.backward("look", color=np.ones((1, 200, 400, 3)))["colors"]
     gpu.silent()
     np.testing.assert_allclose(found.sum(0), 80000, rtol=1e-4)  # all pixels are covered, and each pixel's weights add up to 1
+
+
+def test_a_floor_that_runs_past_the_camera_keeps_its_gradient(gpu):
+    """It crosses the near plane and covers most of two views, one from below: each turn of its loop over 38,000 pixels is one turn, whether
+    an edge is cut there or not. With loops that cut edges inside it two corners lost a twentieth."""
+    floor = np.array([(-40.0, -0.6, 3.2), (40, -0.6, 3.2), (40, -0.6, -40), (-40, -0.6, -40)])
+    s = Scene(orbit(2, [20, -20], 2.5, 50, (240, 160)), BACK)
+    s.add(Mesh(floor, np.array([(0, 1, 2), (0, 2, 3)])), s.parameter("floor", floor), Unlit((0.7, 0.6, 0.3)))
+    seen = s.frame(Binned(2.0, gamma=1e-2, over=True))
+    s.phase("fit", 1, {"floor": Sgd(1.0)}, color=l2(seen.color, s.input("photo", np.full((2, 160, 240, 3), 0.3))))
+    with runtime.load(gpu.compile(s.program), gpu.device) as d, ReferenceSession(s.program) as r:
+        for session in (d, r):
+            session.step(1, "fit")
+        found, expected = (session.get("floor")[:, 1] - floor[:, 1] for session in (d, r))
+    gpu.silent()
+    assert np.abs(expected).min() > 5e-5
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-7)
 
 
 def test_a_fit_learns_shape_and_colour(gpu):
