@@ -8,7 +8,7 @@ from dressi_edge.compiler.graph.functions import compose, constant_table
 from dressi_edge.compiler.graph.reference_session import ReferenceSession
 from dressi_edge.compiler.render.raster.contours import ContourFragments
 from dressi_edge.compiler.render.raster.fragments import Fragments
-from dressi_edge.compiler.scene import HardSoftRas, Mesh, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
+from dressi_edge.compiler.scene import Binned, HardSoftRas, Mesh, Outline, Scene, Unlit, Vertex, icosphere, look_at, orbit, rigid
 
 pytest_plugins = ["gpu"]
 SAMPLES = 16  # a pixel's side
@@ -265,3 +265,21 @@ def test_layers_have_contours_of_coverage_alone():
     """What the paper's renderer has not is not offered."""
     with pytest.raises(TypeError):
         HardSoftRas(contours=True)
+
+
+@pytest.mark.parametrize("renderer", [Outline(2.0, contours=True), HardSoftRas(2.0), HardSoftRas(2.0, layers=3, edges="all"),
+                                      Binned(2.0, over=True)], ids=["contours", "one layer", "all edges", "every face"])
+def test_one_colour_for_all_of_a_single_part_is_that_colour_at_each_vertex(gpu, renderer):
+    """A picture of one texel, which every renderer must spread over its pixels; it did not beside contours."""
+    ball, found = icosphere(1, 0.6), {}
+    for name, color in (("one", (0.8, 0.3, 0.1)), ("each", Vertex(constant_table(np.tile((0.8, 0.3, 0.1), (42, 1)))))):
+        s = Scene(orbit(2, [20, -15], 3.0, 40, (65, 49)), background=(0.1, 0.2, 0.3))
+        s.add(ball, s.parameter("vertices", ball.positions), Unlit(color))
+        s.vjp("v", ["vertices"], color=s.frame(renderer).color)
+        with gpu.open(s.program) as session:
+            session.forward("v")
+            found[name] = session.get("v.color"), session.backward("v", color=np.ones((2, 49, 65, 3)))["vertices"]
+    gpu.silent()
+    assert np.abs(found["one"][1]).max() > 1
+    for one, each in zip(found["one"], found["each"]):
+        np.testing.assert_allclose(one, each, atol=1e-4 * np.abs(each).max())

@@ -78,10 +78,15 @@ def listed_boxes(boxes: Node, bins: Node, each: int) -> Compact:
     return compact(apply("meets_tiles", boxes, bins, tile=BIN), each)
 
 
+def _over(face: Node, value: Node) -> Node:
+    """A value at each pixel of the image of faces: one for all of them (1 x 1) is broadcast."""
+    return value if value.extent == face.extent else apply("broadcast", value, extent=face.extent)
+
+
 def near_faces(face: Node, value: Node, apart: bool = False) -> Node:
     """A value in the tiles that have pixels of a face, zero outside: what depends on it alone is drawn there only; with `apart` in passes
     of its own. One value for all pixels (1 x 1) is broadcast to them."""
-    value = value if value.extent == face.extent else apply("broadcast", value, extent=face.extent)
+    value = _over(face, value)
     how = {"tile": (TILE, TILE), **({"apart": True} if apart else {})}
     return apply("inside_tiles", value, apply("occupied", face, width=TILE, height=TILE), **how)
 
@@ -102,8 +107,10 @@ class Layer:
     tiles: Node | None = None
 
     def near(self, value: Node) -> Node:
-        """A value in the tiles that have pixels of a face, zero outside."""
-        return near_faces(self.face, value) if self.tiles is None else apply("inside_tiles", value, self.tiles, tile=GUARDED)
+        """A value in the tiles that have pixels of a face, zero outside; as `near_faces`."""
+        if self.tiles is None:
+            return near_faces(self.face, value)
+        return apply("inside_tiles", _over(self.face, value), self.tiles, tile=GUARDED)
 
 
 @dataclass(frozen=True, eq=False)
