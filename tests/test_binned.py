@@ -377,8 +377,8 @@ def test_a_face_of_more_pixels_than_a_loop_has_turns_keeps_its_gradient(gpu):
 
 
 def test_a_floor_that_runs_past_the_camera_keeps_its_gradient(gpu):
-    """It crosses the near plane and covers most of two views, one from below: each turn of its loop over 38,000 pixels is one turn, whether
-    an edge is cut there or not. With loops that cut edges inside it two corners lost a twentieth."""
+    """It crosses the near plane and covers most of two views, one from below: its loop over 38,000 pixels takes one turn a pixel,
+    whether an edge is cut there or not. With loops inside it that cut edges, two corners lost all of their gradient."""
     floor = np.array([(-40.0, -0.6, 3.2), (40, -0.6, 3.2), (40, -0.6, -40), (-40, -0.6, -40)])
     s = Scene(orbit(2, [20, -20], 2.5, 50, (240, 160)), BACK)
     s.add(Mesh(floor, np.array([(0, 1, 2), (0, 2, 3)])), s.parameter("floor", floor), Unlit((0.7, 0.6, 0.3)))

@@ -41,17 +41,18 @@ def read_regular(path: str | os.PathLike, limit: int, flags: int = 0, allowed=No
     return data
 
 
-def replace_file(path: str | os.PathLike, *parts: bytes) -> None:
-    """Write beside the file, then put it in its place, on the disk before its name is: a reader sees the old one or the new one,
-    after a power cut too. A process killed here leaves at worst a hidden `.NAME.*.part`. The mode is as umask has it. Raises
+def replace_file(path: str | os.PathLike, *parts: bytes, mode: int = 0o666, lasting: bool = True) -> None:
+    """Write beside the file, then put it in its place: a reader sees the old one or the new one, where it is `lasting`, which waits for
+    the disk, after a power cut too. A process killed here leaves at worst a hidden `.NAME.*.part`. mode: less what umask takes. Raises
     OSError; the old file is then as it was."""
     folder, base = os.path.split(os.path.abspath(path))
     name = os.path.join(folder, f".{base[:100]}.{os.getpid()}-{os.urandom(6).hex()}.part")
-    with open(os.open(name, FLAGS, 0o666), "wb") as f:
+    with open(os.open(name, FLAGS, mode), "wb") as f:
         try:
             f.writelines(parts)
-            f.flush()
-            _to_disk(f.fileno())
+            if lasting:
+                f.flush()
+                _to_disk(f.fileno())
         except BaseException:
             _remove(name)
             raise
@@ -60,7 +61,8 @@ def replace_file(path: str | os.PathLike, *parts: bytes) -> None:
     except BaseException:
         _remove(name)
         raise
-    _sync_folder(folder)
+    if lasting:
+        _sync_folder(folder)
 
 
 def _exchange(name: str, path: str | os.PathLike) -> None:

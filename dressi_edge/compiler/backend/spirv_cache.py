@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 
 from ...cache.errors import DressiError
-from ...cache.files import FLAGS, read_regular
+from ...cache.files import read_regular, replace_file
 from ...cache.pipeline_cache import kept_folder
 
 MAX_BYTES = 1 << 22  # of one shader
@@ -58,7 +58,7 @@ def store(path: str, made: Mapping[str, bytes]) -> None:
     leaves a part does not have its SHA-256."""
     try:
         for name, code in made.items():
-            _write(os.path.join(path, name + SUFFIX), hashlib.sha256(code).digest() + code)
+            replace_file(os.path.join(path, name + SUFFIX), hashlib.sha256(code).digest(), code, mode=0o600, lasting=False)
         written = sum(map(len, made.values()))
         if path not in _stored or _stored[path] + written > MAX_FOLDER_BYTES // LOOK_EVERY:
             _trim(path)
@@ -67,14 +67,6 @@ def store(path: str, made: Mapping[str, bytes]) -> None:
             _stored[path] += written
     except OSError:
         pass
-
-
-def _write(path: str, data: bytes) -> None:
-    """The file under another name first, so that no reader sees a part of it."""
-    new = f"{path}.{os.getpid()}-{os.urandom(6).hex()}.part"
-    with open(os.open(new, FLAGS, 0o600), "wb") as f:
-        f.write(data)
-    os.replace(new, path)
 
 
 def _trim(path: str) -> None:

@@ -186,8 +186,8 @@ TURNS = 60000  # of the loops of one invocation: llvmpipe ends them, and says no
 
 
 def _by_bands(name: str, inputs: tuple[Node, ...], **attrs) -> Node:
-    """The sum over bands of rows, of so few pixels each that no loop over a face's box is too long. Each has another extent (one more row
-    of padding), for the turns of all loops of one shader count together."""
+    """The sum over bands of rows, of so few pixels each that no loop over a face's box, of one turn a pixel, is too long. Each
+    has another extent (one more row of padding), for the turns of all loops of one shader count together."""
     height = attrs["cell_h"]
     rows = max(1, min(height, TURNS // attrs["cell_w"]))
     found = None

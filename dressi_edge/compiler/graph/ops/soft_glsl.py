@@ -30,8 +30,8 @@ area_ *= facing_;
 vec3 m_ = area_ * iw_;
 bool hard_ = min(min(m_.x, m_.y), m_.z) >= 0.0 && whole_ != 0.0 && abs(whole_) >= m_.x + m_.y + m_.z;
 """
-# How far the nearest edge is, seen from q_. All three are cut at the near plane whether they cross it or not: drivers that run many
-# invocations at once do that sooner than a branch.
+# How far the nearest edge is, seen from q_. All three are cut at the near plane whether they cross it or not. That takes less time than a
+# branch where many invocations run at once, and no turns of a loop, of which a shader has only so many (`soft.TURNS`).
 _FAR = """
 vec3 r0_ = vec3(a0_, iw_.x), r1_ = vec3(a1_, iw_.y), r2_ = vec3(a2_, iw_.z);
 float far_ = min(min(soft_distance2(soft_clip(r0_, r1_)).x, soft_distance2(soft_clip(r1_, r2_)).x), soft_distance2(soft_clip(r0_, r2_)).x);
